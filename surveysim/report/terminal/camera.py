@@ -17,7 +17,7 @@ def camera_lines(setup: Setup) -> Iterator[str]:
         chosen = setup.scene.instrument.table_band
         yield f"detectors of bands: {_named(counts.bands)}" + (f"; {chosen} is simulated" if chosen else "")
     if counts.readout_groups:
-        yield f"detectors of readout groups, which change no result: {_named(counts.readout_groups)}"
+        yield f"detectors of readout groups: {_named(counts.readout_groups)}"
 
 
 def _named(counts: Sequence[tuple[str, int]]) -> str:
