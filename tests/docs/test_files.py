@@ -55,6 +55,7 @@ RICH_SCENE = (
     )
     .replace('pixel = "30 arcsec"', 'pixel = "30 arcsec"\nhealpix_nside = 1024')
     + '\n[score.reference]\nsource = "nowhere"\nvalues = { actual = "270 uK2" }\n'
+    + '\n[dropped_samples]\nrate = "60 / h"\nlength = "1 s"\nshared = "array"\n'
     + METRICS
     + PHOTON
     + CAMERA

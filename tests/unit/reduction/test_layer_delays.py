@@ -60,6 +60,22 @@ def test_streams_in_blocks_have_the_delays_of_the_whole(setup_of, n):
     np.testing.assert_allclose(measured_delays(parts, streams.focal_plane), whole, rtol=1e-5)
 
 
+def test_delays_without_lost_data(setup_of):
+    """Dead detectors, a lost scan, gaps of all detectors and of each: with wild values there, the same delays."""
+    setup, rng = setup_of(1), np.random.default_rng(1)
+    streams, rate = draw_observation(setup, 0), setup.observing.scans.sample_rate_hz
+    whole = measured_delays([layer_motion(streams, rate)], streams.focal_plane)
+    flags = rng.random(streams.data_mk.shape) < 0.01
+    flags[[3, 20, 41]] = flags[:, slice(*streams.scan_bounds[2])] = True
+    flags[:, streams.scan_bounds[4, 0] + 70 : streams.scan_bounds[4, 0] + 75] = True
+    wild = np.where(flags, np.float32(1e4) * rng.standard_normal(flags.shape, np.float32), streams.data_mk)
+    motion = layer_motion(replace(streams, data_mk=wild, flags=flags), rate)
+    assert motion.used.tolist() == [True] * 2 + [False] + [True] * 5 and motion.transforms.live.sum() == len(flags) - 3
+    apart = np.linalg.norm(measured_delays([motion], streams.focal_plane) - whole, axis=1)
+    assert (apart < 0.02 * np.linalg.norm(whole, axis=1)).all()
+    assert layer_motion(replace(streams, flags=np.ones_like(flags)), rate).transforms is None
+
+
 @pytest.mark.parametrize("blocks", [2, 8])
 def test_blocks_are_cleaned_as_the_same_streams_side_by_side(setup_of, blocks):
     """Blocks of four scans, and of one, in which no wind can be measured."""
