@@ -156,8 +156,18 @@ def _one(cleaning: str, item: MatchedFilter, seed: int) -> Measurement:
 
 if __name__ == "__main__":
     import time
+
     for cleaning in sys.argv[2:] or CLEANINGS:
-        t=time.process_time()
+        t = time.process_time()
         item = calibrated(cleaning, range(1000, 1000 + CALIBRATION))
         m = measured(cleaning, item, range(int(sys.argv[1])))
-        print(cleaning, item.sigma, m.bias, m.chi2, 1/np.mean(m.scatter), np.percentile(m.scatter,[0,50,100]), time.process_time()-t, flush=True)
+        print(
+            cleaning,
+            item.sigma,
+            m.bias,
+            m.chi2,
+            1 / np.mean(m.scatter),
+            np.percentile(m.scatter, [0, 50, 100]),
+            time.process_time() - t,
+            flush=True,
+        )

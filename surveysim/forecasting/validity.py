@@ -14,7 +14,6 @@ from surveysim.reduction.setup import Setup
 from surveysim.scene.observing import Scan
 from surveysim.scene.scene import Scene
 from surveysim.survey.discarded_scans import MOST_DISCARDED
-from surveysim.timestreams.component import loses_samples
 from surveysim.timestreams.expected_losses import sampled_share
 
 LARGE = 0.1  # relative size above which an effect is flagged
@@ -138,7 +137,7 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
             yield NeglectedEffect("cleaning", None, sentence, True)
     if setup.camera.properties.time_constant_s is not None:
         yield _time_constants(setup, inputs.pipeline, inputs.share)
-    if loses_samples(setup.scene):
+    if setup.scene.losses:
         yield _lost_samples(setup.scene, inputs)
     if templates := len(PROJECTIONS[inputs.pipeline.label]):
         yield _few_detectors(templates, inputs.n_det)

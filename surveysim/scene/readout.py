@@ -173,3 +173,8 @@ class ReadoutSections(Section):
     glitches: Glitches | None = None
     dropped_samples: DroppedSamples | None = None
     dead_time: DeadTime | None = None
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """Names of the sections that flag samples as lost."""
+        return tuple(name for name in ("glitches", "dropped_samples", "dead_time") if getattr(self, name))
