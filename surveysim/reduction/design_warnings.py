@@ -152,10 +152,8 @@ def _lost_samples(setup: Setup) -> str:
     lost = 1 - float(sampled_share(setup.scene, np.array([white]))[0])
     if lost <= MOST_LOST:
         return ""
-    names = [f"[{item.name}]" for item in present_components(setup.scene) if item.flag is not None]
-    return (
-        f"{', '.join(names)}: {100 * lost:.0f} % of the samples are lost; more than {100 * MOST_LOST:.0f} % are many."
-    )
+    names = ", ".join(f"[{name}]" for name in setup.scene.losses)
+    return f"{names}: {100 * lost:.0f} % of the samples are lost; more than {100 * MOST_LOST:.0f} % are many."
 
 
 def _arcsec(angle: float) -> str:

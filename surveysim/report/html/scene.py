@@ -11,6 +11,7 @@ from typing import Any
 from surveysim.reduction.signal_sims import carriers
 from surveysim.report.html.components import UK2, Block, Terms
 from surveysim.report.html.readout import DESCRIPTIONS
+from surveysim.report.html.response import response_terms
 from surveysim.runtime.numbers import joined, number, plural, short
 from surveysim.scene.sites import OWN, site_title
 from surveysim.scene.units import b2_unit
@@ -51,6 +52,7 @@ def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:
         ),
         **({"Optics": lambda: _optics(scene["optics"])} if scene.get("optics") else {}),
         **{item.title: partial(_component, item, scene[item.name]) for item in components},
+        **response_terms(scene),
         "Cleaning": lambda: _cleaning(scene["cleaning"]),
         "Map": lambda: _map(scene),
         "Score": lambda: _score(scene["score"], scene["observations"]),
