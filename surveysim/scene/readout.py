@@ -19,7 +19,7 @@ from surveysim.scene.section import Section
 
 MOST_LOST = 0.9  # largest fraction of detectors, or scans, that [dead_time] takes
 
-Rate = Annotated[float, *quantity("Hz", "1 / h", at_least=0, at_most="1000 / s")]
+Rate = Annotated[float, *quantity("Hz", "1 / h", at_least=0, at_most="1000 Hz")]
 Amplitude = Annotated[float, *quantity("mK", at_least="1e-9 mK", at_most="1e6 K")]
 GroupSize = Annotated[int, *whole(2, 1_000_000)]
 _GROUPS: JsonDict = {"otherwise": "groups of the table's column `readout_group`"}
@@ -173,3 +173,8 @@ class ReadoutSections(Section):
     glitches: Glitches | None = None
     dropped_samples: DroppedSamples | None = None
     dead_time: DeadTime | None = None
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """Names of the sections that flag samples as lost."""
+        return tuple(name for name in ("glitches", "dropped_samples", "dead_time") if getattr(self, name))
