@@ -33,12 +33,14 @@ def scored_map(correlation=0.0) -> ScoredMap:
         selected=ELL > 4000,
         correlation=np.full(len(ELL) - 1, correlation),
         flat_psd=flat_spectrum_psd(ELL),
-        beam_window=np.ones(len(ELL)),
-        pixel_window=np.ones(len(ELL)),
-        area_sr=1e-3,
         hours=10.0,
+        scan_hours=9.0,
         ukcmb_per_mk=1650.0,
         psd_of=lambda spectrum: spectrum(ELL),
+        power_of=lambda profile: profile(ELL) ** 2,
+        beam_sr=1e-7,
+        mjy_per_mk=30.0,
+        sz_ukcmb=-2.7e6,
     )
 
 
