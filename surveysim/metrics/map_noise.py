@@ -156,7 +156,7 @@ def scored_map(setup: Setup) -> ScoredMap:
         scan_hours=scene.observations * scans.n_scans * scans.scan_s / 3600,
         ukcmb_per_mk=1e3 * scene.instrument.cmb_per_rj,
         psd_of=partial(_spectrum_psd, setup),
-        power_of=partial(_source_power, analysis.beams, pixel_rad, rings.edges_ell),
+        power_of=partial(_source_power, analysis.beams, analysis.geometry.pixel_rad, rings.edges_ell),
         beam_sr=2 * np.pi * scene.instrument.beam_fwhm_rad**2 / (8 * np.log(2)),
         mjy_per_mk=2 * BOLTZMANN_J_K * 1e-3 / (effective_area_m2(scene) * MJY),
         sz_ukcmb=1e6 * scene.instrument.band.sz_k_cmb,
