@@ -70,8 +70,8 @@ class BandPowers(Metric):
     edges: Annotated[tuple[Annotated[int, *whole(0, 10_000_000)], ...], Field(min_length=2, max_length=_MOST_EDGES)]
     """Edges of the bins in multipole: increasing multiples of `score.ell_bin` up to `score.ell_max`."""
     spectrum: TableOrName
-    """Fiducial spectrum: "flat" has equal band powers, "poisson" equal C_ell, "clustered" C_ell as ell^-1.2; or an ECSV
-    table with the columns `ell` and `cl`, C_ell in CMB temperature squared."""
+    """Fiducial spectrum: "flat" has equal band powers, "poisson" equal C_ell, "clustered" C_ell as ell^-1.25; or an
+    ECSV table with the columns `ell` and `cl`, C_ell in CMB temperature squared."""
     band_power_ukcmb2: PositiveBandPower | None = Field(alias="band_power", default=None)
     """Band power ell (ell + 1) C_ell / 2 pi of a named spectrum at ell = 3000; it is required there."""
 
@@ -206,7 +206,14 @@ class ClusterDepth(_SourceDepth):
         return self
 
 
-METRIC_SECTIONS = (BandPowers, LargestScale, ArrayNet, TimeTo, PointSourceDepth, ClusterDepth)
+METRIC_SECTIONS: tuple[type[Metric], ...] = (
+    BandPowers,
+    LargestScale,
+    ArrayNet,
+    TimeTo,
+    PointSourceDepth,
+    ClusterDepth,
+)
 KIND_TAG = "kind="  # begins the part of an error's location that names the kind
 
 
