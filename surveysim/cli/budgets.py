@@ -63,6 +63,8 @@ def budget(
         with_engine.start_early()
     from surveysim import api
     from surveysim.cli.progress import announce_compilation, equal_work, sweep_display
+    from surveysim.output.directory import claimed
+    from surveysim.output.expected_files import of_budget
     from surveysim.report.terminal.budget import print_budget, print_budget_plan
     from surveysim.studies.sweep.plan import make_sweep_plan
 
@@ -70,6 +72,9 @@ def budget(
     work = equal_work(n_points) if forecast else [point.detector_samples for point in ready.sweep.points]
     n_workers = 1 if forecast else with_engine.workers_for(n_points)
     if not quiet and not forecast and with_engine.scheduler is None:
+        results = of_budget(ready, True, not no_figures)
+        with report_resumable_exit(scene, directory), claimed(directory, results, force, resume):
+            pass  # or an error, before any work
         announce_compilation(ready.name)
         print_budget_plan(ready, make_sweep_plan(ready.sweep, n_workers, process_time()), n_workers)
     with report_resumable_exit(scene, directory), sweep_display(ready.name, work, quiet, n_workers) as progress:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from surveysim.report.html.captions import BUDGET
-from surveysim.report.html.components import UK2, Block, Page, Section, Terms, Text, grid, picture
+from surveysim.report.html.components import UK2, Block, Page, Section, Text, grid, picture
 from surveysim.report.html.provenance import provenance, sources
 from surveysim.report.html.scene import what_was_simulated
 from surveysim.runtime.numbers import count, duration, number, plural, quoted
@@ -20,7 +20,7 @@ from surveysim.studies.budget.lines import (
     small_line,
     total_lines,
 )
-from surveysim.studies.budget.tables import TITLE, budget_table, pair_table, point_table, time_text
+from surveysim.studies.budget.tables import TITLE, budget_table, option_table, pair_table, point_table, time_text
 
 Content = Mapping[str, Any]  # content of summary.json or scene.json
 PICTURE = "figures/budget.png"
@@ -28,12 +28,9 @@ PICTURE = "figures/budget.png"
 
 def budget_page(directory: Path, summary: Content, scene: Content) -> Page:
     """Return the page of a budget from its directory, summary.json and scene.json."""
-    table = budget_table(summary)
-    narrow = tuple(item for item in table.columns if item.name != "options")
-    costs = grid(replace(table, title=TITLE, columns=narrow), MEASURE, PLACES, *reason_lines(summary))
-    options = tuple((item["title"], item["options"]) for item in summary["budget"]["stages"])
-    removal = Terms(options, "Options that remove each stage")
-    sections = [Section("costs", TITLE, (costs, Text(tuple(total_lines(summary))), removal))]
+    costs = grid(replace(budget_table(summary), title=TITLE), MEASURE, PLACES, *reason_lines(summary))
+    sums = Text(tuple(total_lines(summary)))
+    sections = [Section("costs", TITLE, (costs, sums, grid(option_table(summary))))]
     if PICTURE in summary["files"] and (directory / PICTURE).is_file():
         drawn = picture(directory / PICTURE, BUDGET.title, BUDGET.alt, (BUDGET.shows, BUDGET.look_for))
         sections.append(Section("figure", "Figure", (drawn,)))

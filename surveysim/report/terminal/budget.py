@@ -18,7 +18,7 @@ from surveysim.studies.budget.lines import (
 from surveysim.studies.budget.points import Budget
 from surveysim.studies.budget.result import BudgetResult
 from surveysim.studies.budget.summary import budget_summary
-from surveysim.studies.budget.tables import budget_table, pair_table, point_table
+from surveysim.studies.budget.tables import budget_table, option_table, pair_table, point_table
 from surveysim.studies.sweep.plan import SweepPlan
 
 
@@ -41,6 +41,7 @@ def print_budget(result: BudgetResult, scene: Path, directory: Path, verbose: bo
         if line:
             console.say(plain(line))
     console.say(f"{MEASURE} {PLACES}")
+    show_table(console, option_table(summary))
     if summary["budget"]["pairs"]:
         show_table(console, pair_table(summary))
     if verbose:

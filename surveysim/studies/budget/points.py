@@ -10,6 +10,7 @@ from typing import Any
 
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.bands import TABLE
+from surveysim.scene.error_lines import error_lines
 from surveysim.scene.scene import Origin, Scene, load_scene, read_scene, scene_hash, scene_of
 from surveysim.scene.shipped import find_scene
 from surveysim.scene.units import file_value
@@ -188,9 +189,10 @@ def _points(
             scene = _actual_alone(scene_at(settings))
             points[item] = sweep_point(number, (number,), _label(stages, item), settings, scene)
         except SceneError as error:
+            lines = [line.removeprefix(f"{path}: ") for line in str(error).splitlines()]
             if not item:
-                raise
-            reasons[item] = str(error).splitlines()[0].removeprefix(f"{path}: ")
+                raise SceneError(error_lines(path, lines)) from None
+            reasons[item] = lines[0]
     return points, reasons
 
 

@@ -10,6 +10,7 @@ from surveysim.runtime.table import SIGMA, Column, Table, column, file_column, q
 Content = Mapping[str, Any]  # content of summary.json, or an entry of it
 TITLE = "Cost of each stage"
 PARTS = {"removed": "removed alone", "added": "added alone"}
+EXACT = 1e-5  # relative error below which only rounding is left
 NOT_COMPARABLE = " *"  # after a cost of points that lose different fractions of their scans
 
 
@@ -29,7 +30,7 @@ def budget_table(summary: Content) -> Table:
         columns += _cost_columns(part, heading, [item.get(part) for item in stages])
     columns += _estimates("interaction", "interaction", [item["interaction"] for item in stages], [""] * len(stages))
     columns += [
-        column("options", [item["options"] for item in stages], "options that remove it"),
+        file_column("options", [item["options"] for item in stages]),
         file_column("reason", [item.get("reason", "") for item in stages]),
     ]
     title = f"{summary['title']}: {TITLE[0].lower()}{TITLE[1:]}"
@@ -64,12 +65,24 @@ def pair_table(summary: Content) -> Table:
     return Table("pair", "Interactions of pairs, in survey time", tuple(columns), meta=_meta(summary))
 
 
+def option_table(summary: Content) -> Table:
+    """Return a row for each stage with the options of a command that remove it, and the stages that need it."""
+    stages = summary["budget"]["stages"]
+    columns = (
+        column("title", [item["title"] for item in stages], "stage"),
+        column("options", [item["options"] for item in stages], "options that remove it, and what needs it"),
+    )
+    return Table("option", "Scenes without a stage", columns)
+
+
 def time_text(entry: Content) -> str:
     """Format a share of the survey time, with its error if it has one; empty without a value."""
     value, error = entry["value"], entry["error"]
     if value is None:
         return ""
-    return quoted_share(value, error) if error is not None else f"{_fixed(100 * value, 1)} %"
+    if error is None or error < EXACT:
+        return f"{_fixed(100 * value, 1)} %"
+    return quoted_share(value, error)
 
 
 def ratio_text(entry: Content) -> str:
@@ -77,7 +90,9 @@ def ratio_text(entry: Content) -> str:
     value, error = entry["value"], entry["error"]
     if value is None:
         return ""
-    return quoted(value, error) if error is not None else _fixed(value, 3) if value < 10 else number(value)
+    if error is None or error < EXACT * value:
+        return _fixed(value, 3) if value < 10 else number(value)
+    return quoted(value, error)
 
 
 def _fixed(value: float, places: int) -> str:
