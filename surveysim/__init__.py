@@ -18,6 +18,8 @@ _PUBLIC = {
     "forecast_sweep": "surveysim.api",
     "plan_sweep": "surveysim.api",
     "budget": "surveysim.api",
+    "load_problem": "surveysim.studies.optimise.problem",
+    "optimise": "surveysim.api",
     "scene_names": "surveysim.scene.shipped",
     "Engine": "surveysim.runtime.engine",
     "InputError": "surveysim.runtime.errors",

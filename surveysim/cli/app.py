@@ -6,7 +6,7 @@ import typer
 from typer.core import TyperArgument, TyperCommand
 
 from surveysim import __version__
-from surveysim.cli import budgets, runs, scenes, studies
+from surveysim.cli import budgets, optimise, runs, scenes, studies
 from surveysim.runtime.printable import say
 
 app = typer.Typer(
@@ -19,6 +19,7 @@ COMMANDS = (
     runs.run,
     runs.forecast,
     budgets.budget,
+    optimise.optimise,
     studies.accuracy,
     runs.plan,
     studies.paper,

@@ -30,9 +30,11 @@ from surveysim.scene.noise_and_sky import ONE_NOISE, StreamSections
 from surveysim.scene.numerics import Numerics
 from surveysim.scene.observing import MIN_SAMPLES, FieldSection, FixedPointing, Scan, Schedule
 from surveysim.scene.optics import Optics
+from surveysim.scene.optimise import Optimise
 from surveysim.scene.place import Place, SiteSection, own_place, shipped_place, with_place
 from surveysim.scene.readout import ReadoutSections
 from surveysim.scene.renamed_keys import renamed_lines
+from surveysim.scene.response import ResponseSections
 from surveysim.scene.section import Section
 from surveysim.scene.shipped import MAX_NAME, NAME, find_scene, is_name, no_such_scene
 from surveysim.scene.sites import OWN
@@ -85,7 +87,7 @@ class ObservationSections(Section):
     scan: Scan
 
 
-class Scene(ReadoutSections, StreamSections, ObservationSections):
+class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSections):
     """A whole scene; a section that is left out leaves out its stage of the simulation.
 
     Two attributes are no keys of the file. `assumed` lists the values whose comments call them assumed or calibrated.
@@ -97,6 +99,7 @@ class Scene(ReadoutSections, StreamSections, ObservationSections):
     score: Score | None = None
     """Without it there are maps, but no uncertainties."""
     numerics: Numerics = Numerics()
+    optimise: Optimise | None = None
     assumed: SkipJsonSchema[tuple[str, ...]] = ()
     band: SkipJsonSchema[CameraBand | None] = None
     _origin: Origin | None = PrivateAttr(None)
@@ -327,7 +330,7 @@ def survey_hash(scene: Scene) -> str:
 
 def _content(scene: Scene, excluded: Mapping[str, Any]) -> dict[str, Any]:
     """Values of a scene without some keys; of other bands all that the results depend on."""
-    content = scene.model_dump(exclude={**excluded, "band": True})
+    content = scene.model_dump(exclude={**excluded, "band": True, "optimise": True})
     if scene.band is None:
         return content
     return content | {"band": scene.band.name, "others": [_of_other(scene, other, excluded) for other in scene.others]}
@@ -350,7 +353,7 @@ def _hash(content: dict[str, Any]) -> str:
 def resolved(scene: Scene) -> str:
     """JSON text of a scene in internal units, with units in the names."""
     bands = {"band": scene.band_name, "other_bands": [item.band_name for item in scene.others]} if scene.band else {}
-    return strict_json(scene.model_dump(mode="json", exclude={"band"}) | bands, indent=1, sort_keys=True)
+    return strict_json(scene.model_dump(mode="json", exclude={"band", "optimise"}) | bands, indent=1, sort_keys=True)
 
 
 def _override(path: Path, data: dict, key: str, value: Any) -> None:

@@ -42,7 +42,7 @@ class BudgetResult:
     @property
     def measured(self) -> Measured:
         """Values of the metric at the points."""
-        return Measured(self.comparison.sigma_ukcmb2, self.comparison.modes, 1.0, self.simulated)
+        return Measured(self.comparison.value, self.comparison.modes, 1.0, self.simulated)
 
     @property
     def is_scored(self) -> bool:

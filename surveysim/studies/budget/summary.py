@@ -87,8 +87,8 @@ def _point_entry(result: BudgetResult, number: int) -> dict[str, Any]:
         "without": [name for name in result.budget.stages.stages if name in result.budget.removed[number]],
         "options": as_options(given | point.settings),
     }
-    error = float(comparison.error_ukcmb2[number]) if result.simulated else None
-    entry |= known({"sigma_ukcmb2": float(comparison.sigma_ukcmb2[number]), "error_ukcmb2": error})
+    error = float(comparison.error[number]) if result.simulated else None
+    entry |= known({"sigma_ukcmb2": float(comparison.value[number]), "error_ukcmb2": error})
     entry |= {"forecast_ukcmb2": item.forecast_ukcmb2.get(ACTUAL), "forecast_flags": item.flags}
     if item.discarded:
         entry["discarded"] = item.discarded.get(ACTUAL)
