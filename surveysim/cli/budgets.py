@@ -2,7 +2,7 @@
 
 from pathlib import Path
 from time import process_time
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -26,6 +26,10 @@ from surveysim.runtime.errors import NotForecastableError
 
 def budget(
     scene: SceneFile,
+    metric: Annotated[
+        str | None,
+        typer.Option(metavar="KEY", help="Quantity that costs are of, such as largest_scale.ell; by default sigma(A)."),
+    ] = None,
     forecast: Annotated[bool, typer.Option("--forecast", help="Forecast the points, within seconds.")] = False,
     pairs: Annotated[
         bool, typer.Option("--pairs", help="Measure how each pair of stages interacts too: a point for each.")
@@ -48,15 +52,18 @@ def budget(
     The score with and without each stage, on the same random numbers: removed alone from the whole scene, and added
     alone to the least one.
     """
+    from surveysim.scene.metrics import SIGMA_KEY
     from surveysim.studies.budget.points import load_budget
 
     with_engine = options.engine(engine, workers, scheduler)
     if forecast and resume:
         fail("--resume: found with --forecast, which keeps no points")
     given = options.settings(settings)
-    ready = load_budget(scene, given, pairs=pairs)
+    ready = load_budget(scene, given, metric=metric or SIGMA_KEY, pairs=pairs)
     kind = "budget_forecast" if forecast else "budget"
-    directory = out or default_directory(f"{ready.name}_{kind}", given | ({"budget.pairs": True} if pairs else {}))
+    own: dict[str, Any] = {"budget.metric": metric} if metric else {}
+    own |= {"budget.pairs": True} if pairs else {}
+    directory = out or default_directory(f"{ready.name}_{kind}", given | own)
     if resume and not quiet:
         report_new_start(directory, "points", "")
     if not forecast:

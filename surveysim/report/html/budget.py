@@ -6,16 +6,17 @@ from pathlib import Path
 from typing import Any
 
 from surveysim.report.html.captions import BUDGET
-from surveysim.report.html.components import UK2, Block, Page, Section, Text, grid, picture
+from surveysim.report.html.components import Block, Page, Section, Text, grid, picture
 from surveysim.report.html.provenance import provenance, sources
 from surveysim.report.html.scene import what_was_simulated
+from surveysim.results.metric_tables import heading, label
 from surveysim.runtime.numbers import count, duration, number, plural, quoted
 from surveysim.studies.budget.lines import (
-    MEASURE,
-    PLACES,
     flag_lines,
     interaction_line,
     least_title,
+    measure_line,
+    place_line,
     reason_lines,
     small_line,
     total_lines,
@@ -28,7 +29,8 @@ PICTURE = "figures/budget.png"
 
 def budget_page(directory: Path, summary: Content, scene: Content) -> Page:
     """Return the page of a budget from its directory, summary.json and scene.json."""
-    costs = grid(replace(budget_table(summary), title=TITLE), MEASURE, PLACES, *reason_lines(summary))
+    notes = (measure_line(summary), place_line(summary), *reason_lines(summary))
+    costs = grid(replace(budget_table(summary), title=TITLE), *notes)
     sums = Text(tuple(total_lines(summary)))
     sections = [Section("costs", TITLE, (costs, sums, grid(option_table(summary))))]
     if PICTURE in summary["files"] and (directory / PICTURE).is_file():
@@ -50,9 +52,10 @@ def _lead(summary: Content) -> Iterator[str]:
     stages = [item for item in summary["budget"]["stages"] if item["removed"]["time"]["value"] is not None]
     if stages:
         first = max(stages, key=lambda item: item["removed"]["time"]["value"])
+        less, name = time_text(first["removed"]["time"]), label(summary["budget"]["metric"]["key"])
         yield (
             f"Of {plural(len(summary['budget']['stages']), 'stage')}, {first['title']} costs the most: without it the"
-            f" same σ(A) takes {time_text(first['removed']['time'])} less of the survey time."
+            f" same {name} takes {less} less of the survey time."
         )
     yield small_line(summary)
     if line := interaction_line(summary):
@@ -63,10 +66,10 @@ def _lead(summary: Content) -> Iterator[str]:
 
 def _key_figures(summary: Content) -> tuple[tuple[str, str], ...]:
     whole, total, run = summary["budget"]["points"][0], summary["budget"]["total"], summary["run"]
-    sigma, error = whole["sigma_ukcmb2"], whole["error_ukcmb2"]
-    shown = quoted(sigma, error) if summary["kind"] == "simulated" else number(sigma)
+    metric = summary["budget"]["metric"]
+    value = quoted(whole["value"], whole["error"]) if summary["kind"] == "simulated" else number(whole["value"])
     return (
-        (f"σ(A) of the whole scene [{UK2}]", shown),
+        (heading(metric["key"], metric["unit"]), value),
         (f"time of {least_title(summary).lower()}", time_text(total["least"])),
         ("interactions", time_text(total["together"])),
         ("points", count(len(summary["budget"]["points"]))),

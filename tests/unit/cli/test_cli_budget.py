@@ -37,7 +37,7 @@ def test_budget_by_forecast(call, scene, monkeypatch):
     row = points[list(points["label"]).index("without photon.coherence")]
     assert row["options"] == "--set seed=5 --set photon.coherence=none"
     code, text, _ = call("forecast", scene, *row["options"].split())
-    assert code == 0 and f" {plain(number(row['sigma_ukcmb2']))} " in text
+    assert code == 0 and f" {plain(number(row['value']))} " in text
     assert "holds results of 'surveysim budget --forecast'" in refused(call, "budget", scene, "--out", out)
 
 
