@@ -84,6 +84,7 @@ def made(tmp_path_factory):
         "A run": [_rich_run(folder), _unscored_run(folder)],
         "A camera of several bands": [_bands(folder)],
         "A sweep": [_sweep(folder)],
+        "A budget": [*_budget(folder)],
         "A forecast": [_forecast(folder)],
         "Accuracy": [_accuracy(folder)],
         "The paper": [_paper(folder)],
@@ -119,6 +120,15 @@ def _sweep(folder):
     surveysim.run_sweep(_scene(folder, "sweep", SMALL_SCENE + SWEEP), folder / "sweep")
     (folder / "sweep" / "points").rename(folder / "points")  # of the runs of points, which are as other runs
     return folder / "sweep"
+
+
+def _budget(folder):
+    """A simulated budget, and one by forecast with pairs of a scene that has no noise without its detectors'."""
+    path = _scene(folder, "stages", SMALL_SCENE)
+    surveysim.budget(surveysim.load_scene(path, {"photon": None, "excess": None}), folder / "budget", engine=SERIAL)
+    few = {"photon": None, "excess": None, "atmosphere": None, "cleaning.algorithm": "none"}
+    surveysim.budget(surveysim.load_scene(path, few), folder / "pairs", simulate=False, pairs=True)
+    return folder / "budget", folder / "pairs"
 
 
 def _forecast(folder):
@@ -206,7 +216,7 @@ def contents(name: str):
 # ---------------------------------------------------------------- compared
 
 
-@pytest.mark.parametrize("command", ["A run", "A camera of several bands", "A sweep", "The paper"])
+@pytest.mark.parametrize("command", ["A run", "A camera of several bands", "A sweep", "A budget", "The paper"])
 def test_every_file(made, command):
     there = {name: "" for folder in made[command] for name in files(folder)}
     if command == "The paper":  # one figure stands for all
@@ -240,13 +250,13 @@ def _is_of(heading, name):
 
 
 def test_the_list_of_files_in_the_summary_is_whole(made):
-    for command in ("A run", "A camera of several bands", "A sweep"):
+    for command in ("A run", "A camera of several bands", "A sweep", "A budget"):
         for folder in made[command]:
             listed = set(json.loads((folder / "summary.json").read_text())["files"])
             assert listed == files(folder).keys() - {"summary.json", CHECKPOINT, RECORD, "scene.toml"}
 
 
-@pytest.mark.parametrize("command", ["A run", "A camera of several bands", "A sweep", "The paper"])
+@pytest.mark.parametrize("command", ["A run", "A camera of several bands", "A sweep", "A budget", "The paper"])
 def test_the_record_is_whole(made, command):
     """Each file that a command writes is known as its own."""
     for folder in made[command]:
