@@ -98,7 +98,7 @@ def _bands(folder):
 
 
 def _sweep(folder):
-    surveysim.run_sweep(_scene(folder, "sweep", SMALL_SCENE + SWEEP), folder / "sweep")
+    surveysim.run_sweep(_scene(folder, "sweep", SMALL_SCENE + SWEEP), folder / "sweep", target_error=0.01)
     (folder / "sweep" / "points").rename(folder / "points")  # of the runs of points, which are as other runs
     return folder / "sweep"
 
