@@ -170,11 +170,14 @@ def pixel_indices(geometry: MapGeometry, streams: Timestreams) -> np.ndarray:
     Returns
     -------
     (n_det, n_samp) array
-        int32; -1 off the map.
+        int32; -1 off the map, and for samples that `streams` flags as lost.
     """
     xi, eta = plane_offsets(geometry, streams.ra_rad, streams.dec_rad)
     angle = streams.array_angle_rad + north_angle(geometry, xi, eta)
-    return boresight_pixels(geometry, xi, eta, angle, plane=streams.focal_plane)
+    index = boresight_pixels(geometry, xi, eta, angle, plane=streams.focal_plane)
+    if streams.flags is not None:
+        index[streams.flags] = -1
+    return index
 
 
 def boresight_pixels(

@@ -18,6 +18,7 @@ _PER_SAMPLE = ("time_s", "ra_deg", "dec_deg", "array_angle_deg", "scan")
 _PER_DETECTOR = ("x_arcmin", "y_arcmin")
 # Of each detector; files can lack them.
 _ANGLE, _NAME = "polarization_angle_deg", "detector_name"
+_FLAGS = "flags"  # of each detector and sample; files can lack them
 # Largest absolute values: right ascensions and array angles may be unwrapped by a hundred turns; declinations and
 # detector offsets are at most a quarter of a turn.
 _QUARTER_RAD, _TURNS_RAD = math.pi / 2 * (1 + 1e-9), 200 * math.pi
@@ -116,6 +117,8 @@ class Timestreams:
     focal_plane
     attributes
         Units, seed and true values of a simulation.
+    flags : (n_det, n_samp) bool, optional
+        True for lost samples, which maps leave out (`fill_flagged`, `pixel_indices`); None without any.
 
     Raises
     ------
@@ -132,6 +135,7 @@ class Timestreams:
     scan: np.ndarray
     focal_plane: FocalPlane
     attributes: Mapping[str, float | int | str] = field(default_factory=dict)
+    flags: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         n_det = len(self.focal_plane.x_rad)
@@ -142,8 +146,9 @@ class Timestreams:
         sizes = {"ra_rad": _TURNS_RAD, "dec_rad": _QUARTER_RAD, "array_angle_rad": _TURNS_RAD}
         angles = {name: reals(name, getattr(self, name), samples, least=-m, most=m) for name, m in sizes.items()}
         scan = integers("scan", self.scan, samples)
+        lost = None if self.flags is None else flags("flags", self.flags, data.shape)
         _ = self.scan_bounds  # of the scans as they came
-        _set(self, data_mk=data, time_s=time, scan=scan, **angles)
+        _set(self, data_mk=data, time_s=time, scan=scan, flags=lost, **angles)
 
     @cached_property
     def scan_bounds(self) -> np.ndarray:
@@ -152,8 +157,9 @@ class Timestreams:
 
     def subset(self, detectors: np.ndarray | slice) -> "Timestreams":
         """Streams of some detectors; argument and errors as for `FocalPlane.subset`."""
-        plane = self.focal_plane.subset(detectors)
-        return replace(self, data_mk=self.data_mk[detector_rows(detectors, len(self.data_mk))], focal_plane=plane)
+        plane, rows = self.focal_plane.subset(detectors), detector_rows(detectors, len(self.data_mk))
+        lost = None if self.flags is None else self.flags[rows]
+        return replace(self, data_mk=self.data_mk[rows], focal_plane=plane, flags=lost)
 
 
 def scan_bounds(scan: np.ndarray) -> np.ndarray:
@@ -232,7 +238,11 @@ def timestream_file(path: str | Path, n_samp: int) -> Iterator[Callable[[Timestr
                 _begin(file, part, n_samp)
             if len(part.data_mk) != len(file["data"]):
                 raise ValueError(f"{path}: found {len(part.data_mk)} detectors after {len(file['data'])}; one number")
+            if (part.flags is None) != (_FLAGS not in file):
+                raise ValueError(f"{path}: found parts with flags and without; flags in all parts or none are expected")
             file["data"][:, done:until] = single_precision("data_mk", part.data_mk)
+            if part.flags is not None:
+                file[_FLAGS][:, done:until] = part.flags
             for name, values in _sample_columns(part).items():
                 file[name][done:until] = values
             done = until
@@ -246,6 +256,8 @@ def _begin(file: Any, part: Timestreams, n_samp: int) -> None:
     """Write the data sets that do not depend on time, and allocate the others."""
     data = file.create_dataset("data", (len(part.data_mk), n_samp), np.float32)
     data.attrs["unit"] = "mK (Rayleigh-Jeans)"
+    if part.flags is not None:  # as numbers: HDF5 has no truth values
+        file.create_dataset(_FLAGS, data.shape, np.uint8)
     for name, values in _sample_columns(part).items():
         file.create_dataset(name, (n_samp,), values.dtype)
     file["x_arcmin"] = np.degrees(part.focal_plane.x_rad) * 60
@@ -304,8 +316,8 @@ def _streams_of(file: Any) -> Timestreams:
         x_rad, y_rad = (_radians(name, file[name][()]) for name in _PER_DETECTOR)
         ra, dec, angle = (_radians(name, file[name][()]) for name in _PER_SAMPLE[1:4])
         plane = FocalPlane(x_rad, y_rad, fwhm_rad, _polarization_angles(file), _names(file))
-        data = reals("data", file["data"][()], file["data"].shape, finite=False)
-        return Timestreams(data, file["time_s"][()], ra, dec, angle, file["scan"][()], plane, attributes)
+        data, lost = reals("data", file["data"][()], file["data"].shape, finite=False), _flags(file)
+        return Timestreams(data, file["time_s"][()], ra, dec, angle, file["scan"][()], plane, attributes, lost)
     except (ArgumentError, InputError) as error:
         raise _Unfit(one_line(error)) from None
 
@@ -316,6 +328,12 @@ def _polarization_angles(file: Any) -> np.ndarray | None:
 
 def _names(file: Any) -> np.ndarray | None:
     return np.array(file[_NAME].asstr()[()]).astype(str) if _NAME in file else None
+
+
+def _flags(file: Any) -> np.ndarray | None:
+    if _FLAGS not in file:
+        return None
+    return integers(_FLAGS, file[_FLAGS][()], file["data"].shape, least=0, most=1).astype(bool)
 
 
 def _text() -> Any:
@@ -336,7 +354,7 @@ def _check_layout(file: Any) -> None:
     if missing or "fwhm_arcsec" not in file.attrs:
         raise _Unfit(f"lacks {', '.join(missing or ['the attribute fwhm_arcsec'])}")
     names = ("data", *_PER_SAMPLE, *_PER_DETECTOR, *(name for name in (_ANGLE, _NAME) if name in file))
-    for name in names:
+    for name in (*names, *[_FLAGS] * (_FLAGS in file)):
         if isinstance(file.get(name, getlink=True), h5py.ExternalLink):
             raise _Unfit(f"{name} is a link to another file; a data set is expected")
         item = file.get(name)
@@ -354,7 +372,9 @@ def _check_layout(file: Any) -> None:
     if file["data"].ndim != 2:
         raise _Unfit(f"data has the shape {file['data'].shape}; (n_det, n_samp) is expected")
     n_det, n_samp = file["data"].shape
-    wanted = {name: (n_samp,) for name in _PER_SAMPLE} | {name: (n_det,) for name in names[1 + len(_PER_SAMPLE) :]}
+    wanted: dict[str, tuple[int, ...]] = dict.fromkeys(_PER_SAMPLE, (n_samp,))
+    wanted |= dict.fromkeys(names[1 + len(_PER_SAMPLE) :], (n_det,))
+    wanted |= {_FLAGS: (n_det, n_samp)} if _FLAGS in file else {}
     for name, shape in wanted.items():
         if file[name].shape != shape:
             raise _Unfit(f"{name} has the shape {file[name].shape}; {shape} is expected")

@@ -6,18 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.errors import InsufficientDataError
+from mapmaker.spectrum import Annuli, map_psd
 from mapmaker.validation import number, pixel_side, plane_sides, reals
 
 
 @dataclass(frozen=True)
 class TransferFunction:
-    """Transfer function of the signal's power in bins of multipole, measured with simulated skies.
+    """Transfer function in bins of multipole, measured with simulated skies.
 
     Attributes
     ----------
     ell : (n_bin,)
     transmission : (n_bin,)
-        Power out over power in.
+        Power out over power in, or amplitude out over amplitude in (`measure_amplitude_transfer`).
     deviations : (n_sky, n_bin)
         Signed contribution of each sky to the error.
     """
@@ -109,6 +110,41 @@ def measure_transfer_function(psd_cleaned: np.ndarray, psd_reference: np.ndarray
             "expected psd_cleaned and psd_reference (n_sky, n_bin) and ell (n_bin,), got "
             f"{psd_cleaned.shape}, {psd_reference.shape} and {ell.shape}"
         )
+    return _ratio_of_means(psd_cleaned, psd_reference, ell)
+
+
+def measure_amplitude_transfer(
+    cleaned: np.ndarray, reference: np.ndarray, *, taper: np.ndarray, pixel_rad: float, rings: Annuli
+) -> TransferFunction:
+    """Transfer function of amplitudes from maps of the same skies with and without losses.
+
+    It is ``Re sum c r* / sum |r|^2`` over the skies and the modes c and r of a bin: the part of the reference that
+    remains, whatever else cleaning adds. Its square is at most the transfer function of power; cleaning that treats
+    all directions of a bin alike and couples no modes has equality. Errors are those of `measure_transfer_function`.
+
+    Parameters
+    ----------
+    cleaned, reference : (n_sky, n_y, n_x)
+        Maps with and without losses.
+    taper : (n_y, n_x)
+    pixel_rad
+    rings
+        Annuli of the maps.
+
+    Raises
+    ------
+    ValueError
+        For fewer than 2 skies, shapes that differ, values that are not finite, or a reference without power.
+    """
+    reference = reals("reference", reference, ("n_sky", "n_y", "n_x"))
+    cleaned = reals("cleaned", cleaned, reference.shape)
+    of_map = taper, pixel_rad, rings
+    cross = (map_psd(reference + cleaned, *of_map) - map_psd(reference - cleaned, *of_map)) / 4
+    return _ratio_of_means(cross, map_psd(reference, *of_map), rings.ell)
+
+
+def _ratio_of_means(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.ndarray) -> TransferFunction:
+    """Ratio of the means over skies, with the deviations of its jackknife."""
     n_sky = len(psd_cleaned)
     if n_sky < 2:
         raise InsufficientDataError(f"the error of a transfer function needs at least 2 skies, got {n_sky}")

@@ -467,3 +467,36 @@ def low_pass(data, per_scan, decay, taps):
                 cubic = sum(taps[d, j] * x[n - 1 + j] for j in range(4))
                 found[d, start + n] = decay[d] * found[d, start + n - 1] + cubic
     return found
+
+
+def fill_flagged(data, scan_bounds, flagged):
+    """Gaps of each scan: the common signal, from mean changes, and a line from end to end of the gap."""
+    filled = np.array(data, float)
+    for start, stop in scan_bounds:
+        scan, lost = np.array(data[:, start:stop], float), flagged[:, start:stop]
+        times, rows = range(stop - start), range(len(scan))
+        seen = [n for n in times if not lost[:, n].all()]
+        if not seen:
+            filled[:, start:stop] = np.nan
+            continue
+        at = [0.0]
+        for before, n in zip(seen, seen[1:], strict=False):
+            changes = [scan[d, n] - scan[d, before] for d in rows if not (lost[d, n] or lost[d, before])]
+            at.append(at[-1] + np.mean(changes or [0.0]))
+        common = np.interp(times, seen, at)
+        for d in rows:
+            own = [n for n in times if not lost[d, n]]
+            line = np.interp(times, own, [scan[d, n] - common[n] for n in own]) if own else np.zeros(len(times))
+            for n in times:
+                if lost[d, n]:
+                    filled[d, start + n] = common[n] + line[n]
+    return filled
+
+
+def add_pulses(data, per_scan, detector, scan, start, amplitude, decay):
+    """Pulses that decay by a factor a sample, each within its scan."""
+    total = np.array(data, float)
+    for d, s, first, size in zip(detector, scan, start, amplitude, strict=True):
+        for n in range(max(0, first), per_scan):
+            total[d, s * per_scan + n] += size * decay ** (n - first)
+    return total

@@ -67,6 +67,16 @@ def bin_samples(data, index, bounds, kept, weighted_sum, hits):
 
 
 @njit(cache=True, nogil=True)
+def count_samples(index, hits):
+    """Add the samples in each pixel to the flat map `hits` (int64), in place; without those off the map (-1)."""
+    for d in range(index.shape[0]):
+        for n in range(index.shape[1]):
+            pixel = index[d, n]
+            if pixel >= 0:
+                hits[pixel] += 1
+
+
+@njit(cache=True, nogil=True)
 def add_sky(data, sky, column, row, cos, sin, x_rad, y_rad, gain):
     """Add the bilinear look-up of a sky along every detector's track, in place.
 

@@ -1,5 +1,8 @@
 """Piecewise cubics with scipy's coefficients, without scipy.interpolate, which takes 0.2 s to import."""
 
+from collections.abc import Sequence
+from copy import copy
+
 import numpy as np
 
 
@@ -13,12 +16,16 @@ class _Cubics:
         # Coefficients (4, n - 1) of the powers 3, 2, 1, 0 of the distance from the knot below.
         self.c = np.stack([bend / width, (slope - first[:-1]) / width - bend, first[:-1], y[:-1]])
 
-    def __call__(self, x: np.ndarray, derivative: int = 0) -> np.ndarray:
-        """Evaluate the cubics, or their first `derivative`, at `x` of any shape; the last ones go on beyond."""
+    def __call__(self, x: np.ndarray, derivative: int = 0, member: np.ndarray | None = None) -> np.ndarray:
+        """Evaluate the cubics, or their first `derivative`, at `x` of any shape; the last ones go on beyond.
+
+        `member`, shaped as `x`, has the number of a spline in a stack for each.
+        """
         x = np.asarray(x, dtype=float)
         # Of single numbers np.clip takes longer than all else.
         below = np.minimum(np.maximum(np.searchsorted(self.x, x, side="right") - 1, 0), len(self.x) - 2)
-        h, (cubic, square, linear, constant) = x - self.x[below], self.c[:, below]
+        c = self.c[:, below] if member is None else self.c[:, below, member]
+        h, (cubic, square, linear, constant) = x - self.x[below], c
         if derivative:
             return linear + square * h * 2 + cubic * (h * h) * 3
         return constant + linear * h + square * (h * h) + cubic * (h * h * h)
@@ -41,9 +48,14 @@ class CubicSpline(_Cubics):
 
 def stacked_splines(x: np.ndarray, y: np.ndarray) -> CubicSpline:
     """Return splines through points (m, n) at common knots (n,) as one, whose values at a single number are (m,)."""
-    splines = [CubicSpline(x, row) for row in y]
-    splines[0].c = np.stack([spline.c for spline in splines], axis=-1)
-    return splines[0]
+    return stack_of([CubicSpline(x, row) for row in y])
+
+
+def stack_of(splines: Sequence[CubicSpline]) -> CubicSpline:
+    """Return splines with common knots as one; see `stacked_splines`."""
+    stack = copy(splines[0])
+    stack.c = np.stack([spline.c for spline in splines], axis=-1)
+    return stack
 
 
 class MonotoneCubic(_Cubics):

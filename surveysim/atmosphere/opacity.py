@@ -8,7 +8,7 @@ from functools import cache, cached_property, lru_cache
 
 import numpy as np
 
-from surveysim.atmosphere.cubic_spline import CubicSpline, stacked_splines
+from surveysim.atmosphere.cubic_spline import CubicSpline, stack_of, stacked_splines
 from surveysim.atmosphere.opacity_tables import OpacityTable, opacity_table
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.scene.passband import Passband
@@ -149,21 +149,25 @@ def fluctuation_factor_mk2(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.
     return (np.asarray(pwv_mm) * optical_depth_slope(band, pwv_mm) * band.temperature_k * 1e3) ** 2
 
 
-def slant_factor(band: BandOpacity, pwv_mm: float | np.ndarray, *, airmass: float) -> np.ndarray:
+def slant_factor(band: BandOpacity, pwv_mm: float | np.ndarray, *, airmass: float | np.ndarray) -> np.ndarray:
     """Power of fluctuations of the slant column at an airmass over those of an equal column at the zenith.
 
     It is ``((d tau(X, C) / dC / X) / (d tau(1, C) / dC))^2`` with the optical depth ``tau(X, C)`` of the band at the
     airmass X. A change c of the slant column is one of c / X at the zenith, and in temperature above the atmosphere the
     emission changes by ``B_atm d tau(X, C) / dC c / X``. The factor is 1 at a single frequency, and below 1 where
-    lines of the band saturate. It multiplies B2; the geometric ``sin(el)^(1 - b)`` is a factor of its own.
+    lines of the band saturate. It multiplies B2; the geometric ``sin(el)^(1 - b)`` is a factor of its own. Columns and
+    airmasses have one shape, or one of them is a number.
 
     Raises
     ------
     ValueError
         As `optical_depth`.
     """
-    slant = optical_depth_slope(band, pwv_mm, airmass=airmass) / airmass
-    return (slant / optical_depth_slope(band, pwv_mm)) ** 2
+    pwv_mm, airmass = _allowed(band, pwv_mm), np.asarray(airmass, dtype=float)
+    distinct, member = np.unique(airmass, return_inverse=True)
+    splines = stack_of([_slant_spline(band, item) for item in distinct.tolist()])
+    slope = splines(pwv_mm, 1, member.reshape(airmass.shape)) / airmass
+    return (slope / optical_depth_slope(band, pwv_mm)) ** 2
 
 
 def _allowed(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:

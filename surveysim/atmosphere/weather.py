@@ -216,14 +216,11 @@ def slant_b2(
 
     With a site it is the B2 at the zenith times `slant_factor`; without one it does not depend on the elevation.
     """
-    b2, elevation_rad = np.array([item.b2 for item in weather]), np.asarray(elevation_rad)
+    b2 = np.array([item.b2 for item in weather])
     if water is None:
         return b2
-    pwv_mm = np.array([item.pwv_mm for item in weather])
-    for height in np.unique(elevation_rad).tolist():
-        rows = elevation_rad == height
-        b2[rows] *= slant_factor(water.opacity, pwv_mm[rows], airmass=1 / math.sin(height))
-    return b2
+    pwv_mm, airmass = [item.pwv_mm for item in weather], [1 / math.sin(height) for height in elevation_rad]
+    return b2 * slant_factor(water.opacity, np.array(pwv_mm), airmass=np.array(airmass))
 
 
 def season_quantiles(

@@ -8,7 +8,12 @@ from surveysim.forecasting.noise_bins import NoiseBins
 from surveysim.forecasting.observing_conditions import ObservingConditions
 from surveysim.telescope.pixel_coherence import part_weights
 from surveysim.telescope.scans import samples_per_scan
+from surveysim.timestreams.glitches import missed_moment, missed_psd
+from surveysim.timestreams.lines import line_components
 from surveysim.timestreams.low_frequency import excess_psd
+from surveysim.timestreams.readout_noise import red_psd, trend_variance
+
+_SLOW = 20  # a wave of the first frequency of two scans over this is a trend in a scan
 
 Noise = Callable[[ObservingConditions], np.ndarray]  # noise variance a sample (n_draw, n_bin) [mK^2]
 ClosedForm = Callable[[NoiseBins], Noise]
@@ -47,6 +52,52 @@ def layer(of: NoiseBins) -> Noise:
     return lambda conditions: conditions.layer[:, None] * bins(conditions.motion, conditions.sine)
 
 
+def readout_noise(of: NoiseBins) -> Noise:
+    """1/f noise of the readout: lines of streams twice as long as a scan, and the trends of lower frequencies."""
+    n, rate = 2 * samples_per_scan(of.scans), of.scans.sample_rate_hz
+    positive, slow = rate / n * np.arange(1, n // 2 + 1), rate / n / _SLOW
+    terms = []
+    for shared, part in of.scene.readout_noise.parts.items():
+        trend = trend_variance(part, n, rate) / (2 * np.pi * slow) ** 2
+        variance = np.concatenate([[trend], red_psd(part, n, rate)[1:] * rate / n])
+        at_hz, correlation = np.concatenate([[slow], positive]), of.in_common(shared, getattr(part, "group_size", None))
+        terms.append((part.psd_mk2_hz, of.readout(*_both_signs(at_hz, variance), correlation)))
+
+    def noise(conditions: ObservingConditions) -> np.ndarray:
+        white = conditions.white + conditions.shared
+        levels = [white if psd is None else np.full(len(white), psd) for psd, _ in terms]
+        return np.sum([np.outer(level, bins) for level, (_, bins) in zip(levels, terms, strict=True)], axis=0)
+
+    return noise
+
+
+def microphonic_lines(of: NoiseBins) -> Noise:
+    """Lines, as waves with a period of two scans about each."""
+    n, rate = 2 * samples_per_scan(of.scans), of.scans.sample_rate_hz
+    bins = np.zeros(len(of.frequencies.modes.wave))
+    for line in of.scene.lines:
+        waves = _both_signs(*line_components(line, n, rate))
+        bins = bins + of.readout(*waves, of.in_common(line.shared, line.group_size))
+    return lambda conditions: np.tile(bins, (len(conditions.white), 1))
+
+
+def missed_glitches(of: NoiseBins) -> Noise:
+    """Glitches that are not found."""
+    section, n, rate = of.scene.glitches, 2 * samples_per_scan(of.scans), of.scans.sample_rate_hz
+    at_hz = rate / n * np.arange(1, n // 2 + 1)
+    bins = of.readout(*_both_signs(at_hz, missed_psd(section, at_hz, rate) * rate / n), None)
+
+    def noise(conditions: ObservingConditions) -> np.ndarray:
+        return np.outer(missed_moment(section, conditions.white + conditions.shared, rate, 2), bins)
+
+    return noise
+
+
+def _both_signs(at_hz: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lines at positive and negative frequencies, each with the whole variance, as of a one-sided PSD."""
+    return np.concatenate([-at_hz, at_hz]), np.tile(variance, 2)
+
+
 # Terms by component; a term of several components is added once. A component without a row can't be forecast. The
 # order of additions is part of a forecast, as float sums depend on it.
 CLOSED_FORMS: dict[str, tuple[ClosedForm, ...]] = {
@@ -55,4 +106,9 @@ CLOSED_FORMS: dict[str, tuple[ClosedForm, ...]] = {
     "excess": (low_frequency,),
     "atmosphere": (layer,),
     "sky": (),
+    "readout_noise": (readout_noise,),
+    "lines": (microphonic_lines,),
+    "glitches": (missed_glitches,),
+    "dropped_samples": (),
+    "dead_time": (),
 }

@@ -31,6 +31,7 @@ from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import NotForecastableError
 from surveysim.survey.discarded_scans import REMEDY
 from surveysim.timestreams.component import present_components
+from surveysim.timestreams.expected_losses import sampled_share
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -180,9 +181,13 @@ def _scored(
             f"cleaning: rejected all scans {'of a pilot' if kept.error else 'of this run'}; at least one is needed."
             f" {REMEDY}"
         )
-    weight = expected_weights(setup.analysis, noise)
-    # Hits scale with the kept scans; the PSD of a survey scales as one over its observations.
-    variance = (weight**2 * kept.share) @ noise / (weight @ kept.share) ** 2 * (len(noise) / scene.observations)
+    weight, sampled = (
+        expected_weights(setup.analysis, noise),
+        sampled_share(scene, conditions.white + conditions.shared),
+    )
+    # Hits scale with kept scans and samples; the PSD of a survey scales as one over its observations.
+    share = kept.share * sampled
+    variance = (weight**2 * share) @ noise / (weight @ share) ** 2 * (len(noise) / scene.observations)
     area = setup.analysis.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
     psd = variance * area * (1e3 * scene.instrument.cmb_per_rj) ** 2
     signal = model.signal_psd

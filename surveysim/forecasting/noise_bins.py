@@ -24,8 +24,11 @@ from surveysim.forecasting.observing_conditions import Correlation, NoiseCorrela
 from surveysim.forecasting.scan_apodization import ScanApodization, frequency_nodes, hann_apodization, scan_apodization
 from surveysim.scene.analysis import Score
 from surveysim.scene.scene import Scene
+from surveysim.telescope.lattice_noise import GroupCorrelation, NoiseCorrelation
 from surveysim.telescope.scans import Scans, samples_per_scan
 from surveysim.timestreams.shared_parts import screen
+from surveysim.timestreams.sharing import common_streams
+from surveysim.timestreams.simulation import CameraSetup
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,8 @@ class NoiseBins(ABC):
         The pipeline's detectors, at a few angles to the scan.
     independent
         Correlation of white noise that detectors do not share: diagonal; None where all detectors are alike.
+    camera, rows
+        Camera, and the pipeline's detectors.
     """
 
     scene: Scene
@@ -81,6 +86,8 @@ class NoiseBins(ABC):
     frequencies: ScanFrequencies
     arrays: list[ProjectedArray]
     correlations: NoiseCorrelations
+    camera: CameraSetup
+    rows: np.ndarray | slice
     independent: Correlation = None
 
     @property
@@ -101,6 +108,17 @@ class NoiseBins(ABC):
     @abstractmethod
     def low_frequency(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
         """Bins (n_bin,) of noise in lines (n,), positive and negative, that passes the response of the detectors."""
+
+    @abstractmethod
+    def readout(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
+        """Bins (n_bin,) of noise in lines (n,), positive and negative, added after the response of the detectors."""
+
+    def in_common(self, shared: str, group_size: int | None = None) -> Correlation:
+        """Correlation of noise that "detector", "group" or "array" has in common; None for independent detectors."""
+        if shared == "detector":
+            return None
+        streams = common_streams(self.camera, shared, group_size)[self.rows]
+        return NoiseCorrelation(GroupCorrelation(streams), np.ones(len(streams)))
 
     @abstractmethod
     def layer(self) -> LayerNoise:
@@ -143,9 +161,20 @@ class MapBins(NoiseBins):
 
         It is aliased across the scan, among modes of one frequency: independent noise is unchanged.
         """
-        leakage = self.frequencies.apodization.sums(variance[None], at_hz, self.frequencies.at_hz)
-        pairs = list(zip(self.arrays, self.responses, strict=True))
+        pairs = zip(self.arrays, self.responses, strict=True)
         alone = [matrix_power(response * array.responsivity[:, None], None) for array, response in pairs]
+        return self._lines(at_hz, variance, alone, correlation)
+
+    def readout(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
+        """Bins (n_bin,) of noise in lines (n,), positive and negative, added after the response of the detectors."""
+        alone = [matrix_power(response, None) for response in self.responses]
+        return self._lines(at_hz, variance, alone, correlation)
+
+    def _lines(
+        self, at_hz: np.ndarray, variance: np.ndarray, alone: list[np.ndarray], correlation: Correlation
+    ) -> np.ndarray:
+        """Bins (n_bin,) of noise in lines (n,), with the powers of the same noise of independent detectors."""
+        leakage = self.frequencies.apodization.sums(variance[None], at_hz, self.frequencies.at_hz)
         own = self._mean(alone, leakage)
         shared = self._mean([matrix_power(response, correlation) for response in self.responses], leakage)
         return own + (shared - own) * self.pixel
@@ -191,6 +220,10 @@ class NoiseOnlyBins(NoiseBins):
         """Bins (n_bin,) of noise in lines (n,), positive and negative, that passes the response of the detectors."""
         return self._streams(at_hz, variance, correlation)
 
+    def readout(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
+        """Bins (n_bin,) of noise in lines (n,), positive and negative, added after the response of the detectors."""
+        return self._streams(at_hz, variance, correlation)
+
     def _streams(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
         # The power of the cleaned streams does not depend on the array's angle.
         psd = self.hann.sums(variance[None] / 2, at_hz, self.lines_hz)
@@ -233,6 +266,8 @@ def noise_only_bins(of: MapBins, name: str, white_above_hz: float) -> NoiseOnlyB
         frequencies=spectrum,
         arrays=of.arrays,
         correlations=of.correlations,
+        camera=of.camera,
+        rows=of.rows,
         independent=of.independent,
         lines_hz=lines,
         hann=hann,

@@ -103,8 +103,9 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
         fitted = removed_modes(setup.observing, pipeline, arrays[0], conditions)
         spectrum = scan_frequencies(setup.observing.scans, scene.score, region.rings.ell, fitted)
         n_det = len(arrays[0].place)
-        responses = [array.response(spectrum.modes.wave.ravel()) for array in arrays]
-        transmission = _transmission(scene.observations, spectrum, arrays, responses)
+        phases = [array.phases(spectrum.modes.wave.ravel()) for array in arrays]
+        responses = [array.respond(item) for array, item in zip(arrays, phases, strict=True)]
+        transmission = _transmission(scene.observations, spectrum, arrays, phases=phases, responses=responses)
         signal = left_signal(setup.analysis.beams, setup.analysis.geometry, setup.sky.geometry, region, transmission)
         bins = MapBins(
             scene=scene,
@@ -112,6 +113,8 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
             frequencies=spectrum,
             arrays=arrays,
             correlations=noise_correlations(setup.camera, pipeline, shapes),
+            camera=setup.camera,
+            rows=pipeline.rows,
             independent=independent_noise(shapes, pipeline),
             responses=responses,
             pixel=pixel_window(region.rings.ell, pixel_rad),
@@ -125,7 +128,7 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
 
 def _closed_forms(bins: NoiseBins) -> dict[ClosedForm, Noise]:
     """Noise of each term of the components that the scene has a section for."""
-    there = [terms for name, terms in CLOSED_FORMS.items() if getattr(bins.scene, name) is not None]
+    there = [terms for name, terms in CLOSED_FORMS.items() if getattr(bins.scene, name)]
     return {term: term(bins) for terms in there for term in terms}
 
 
@@ -151,7 +154,12 @@ def _arrays(setup: Setup, pipeline: CleaningPipeline, conditions: ObservingCondi
 
 
 def _transmission(
-    n_obs: int, spectrum: ScanFrequencies, arrays: list[ProjectedArray], responses: list[np.ndarray]
+    n_obs: int,
+    spectrum: ScanFrequencies,
+    arrays: list[ProjectedArray],
+    *,
+    phases: list[np.ndarray],
+    responses: list[np.ndarray],
 ) -> np.ndarray:
     """Transfer function (n_bin,) of scans and cleaning for the co-added map.
 
@@ -159,11 +167,10 @@ def _transmission(
     scans along the other lose.
     """
     modes = spectrum.modes
-    wave = modes.wave.ravel()
     kept = [
-        np.einsum("ij,ij->j", response.conj(), array.phases(wave) * array.responsivity[:, None])
+        np.einsum("ij,ij->j", response.conj(), phase * array.responsivity[:, None])
         / (array.responsivity @ array.weight)
-        for array, response in zip(arrays, responses, strict=True)
+        for array, phase, response in zip(arrays, phases, responses, strict=True)
     ]
     amplitude = (np.mean(kept, axis=0) * spectrum.apodization.signal_amplitude(spectrum.at_hz)).reshape(
         modes.wave.shape

@@ -85,15 +85,15 @@ class ObservingConditions:
 
 
 class _ObservationGeometry(NamedTuple):
-    """Pointing of an observation: mean of sin(el)^(1 - b), elevation, parallactic and array angle, scan direction from
-    RA.
+    """Pointing of observations (n,): mean of sin(el)^(1 - b), elevation, parallactic and array angle, scan direction
+    from RA.
     """
 
-    slant: float
-    elevation_rad: float
-    parallactic_rad: float
-    array_angle_rad: float
-    turn_rad: float
+    slant: np.ndarray
+    elevation_rad: np.ndarray
+    parallactic_rad: np.ndarray
+    array_angle_rad: np.ndarray
+    turn_rad: np.ndarray
 
 
 def survey_draws(setup: Setup, first: int, end: int) -> list[Draw]:
@@ -168,9 +168,7 @@ def population_conditions(setup: Setup) -> tuple[ObservingConditions, int]:
 def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingConditions:
     """Compute the observing conditions of some draws."""
     numbers, weather = zip(*draws, strict=True)
-    views = {number: _view(setup.observing, number) for number in set(numbers)}
-    geometry = np.array([views[number] for number in numbers])
-    slant, elevation, parallactic, array_angle, turn = geometry.T
+    slant, elevation, parallactic, array_angle, turn = _geometry(setup.observing, np.array(numbers))
     unshared, shared, stop = _white_noise(setup, elevation, weather)
     b2, layer, wind = np.zeros(len(weather)), np.zeros(len(weather)), np.zeros(len(weather), complex)
     if setup.scene.atmosphere is not None:
@@ -222,16 +220,18 @@ def _white_of(setup: Setup, pwv_mm: float, elevation_rad: float) -> tuple[float,
     return unshared, shared, white.stop_share
 
 
-def _view(observing: ObservingSetup, number: int) -> _ObservationGeometry:
-    angles = observing.angles
-    elevation, parallactic = angles.elevation_rad[number], angles.parallactic_rad[number]
-    air, slant = observing.scene.atmosphere, 0.0
+def _geometry(observing: ObservingSetup, numbers: np.ndarray) -> _ObservationGeometry:
+    """Pointing of the observations with some numbers (n,), which may occur more than once."""
+    distinct, place = np.unique(numbers, return_inverse=True)
+    elevation, parallactic = observing.angles.elevation_rad[distinct], observing.angles.parallactic_rad[distinct]
+    air, slant = observing.scene.atmosphere, np.zeros(len(distinct))
     if air is not None:
-        slant = np.mean(np.sin(elevation) ** (1 - air.spectral_index))
-    _, camera_angle = drawn_offsets(observing, number)
-    middle = parallactic[len(parallactic) // 2]
-    turn = number % 2 * np.pi / 2  # scans along Dec
-    return _ObservationGeometry(slant, float(elevation.mean()), middle, middle + camera_angle, turn)
+        slant = np.mean(np.sin(elevation) ** (1 - air.spectral_index), axis=1)
+    camera_angle = np.array([drawn_offsets(observing, number)[1] for number in distinct.tolist()])
+    middle = parallactic[:, parallactic.shape[1] // 2]
+    turn = distinct % 2 * np.pi / 2  # scans along Dec
+    found = slant, elevation.mean(axis=1), middle, middle + camera_angle, turn
+    return _ObservationGeometry(*(item[place] for item in found))
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,6 +315,8 @@ def removed_modes(
 
 def mean_hits(setup: Setup, pipeline: CleaningPipeline) -> np.ndarray:
     """Mean hits of one observation on the scored patch (n, n), from a sample of observations over the survey."""
+    from mapmaker.kernels.pixels import count_samples
+
     n_obs, geometry = setup.scene.observations, setup.analysis.geometry
     plane: FocalPlane = setup.camera.focal_plane.subset(pipeline.rows)
     samples = len(plane.x_rad) * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
@@ -322,13 +324,12 @@ def mean_hits(setup: Setup, pipeline: CleaningPipeline) -> np.ndarray:
     wanted = min(n_obs, int(np.clip(_HIT_SAMPLES / samples, _FEWEST_HITS, _MOST_HITS)))
     # In pairs of both scan directions.
     numbers = np.unique(np.minimum(2 * (np.arange(wanted) * n_obs // wanted // 2) + np.arange(wanted) % 2, n_obs - 1))
-    hits = np.zeros(geometry.n_x * geometry.n_y)
+    hits = np.zeros(geometry.n_x * geometry.n_y, np.int64)
     for number in numbers:
         _, pointing = observation_path(setup.observing, int(number))
         angle = pointing.array_angle_rad[pointing.scan[::every]]
         boresight = pointing.xi_rad[::every], pointing.eta_rad[::every], angle
         for rows in row_chunks(len(plane.x_rad), len(angle)):
-            index = boresight_pixels(geometry, *boresight, plane=plane.subset(rows)).ravel()
-            hits += np.bincount(index[index >= 0], minlength=len(hits))
+            count_samples(boresight_pixels(geometry, *boresight, plane=plane.subset(rows)), hits)
     patch = setup.analysis.region.patch
     return hits.reshape(geometry.n_y, geometry.n_x)[patch, patch] * every / len(numbers)

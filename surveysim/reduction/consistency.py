@@ -23,6 +23,7 @@ from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.noise_levels import WhiteLevels, white_levels
 from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, near_angles
 from surveysim.telescope.scans import Scans, samples_per_scan
+from surveysim.timestreams.lost_data import most_dead
 
 MAX_REACH_RAD = math.radians(15)
 MAX_SIDE_PIXELS = 16_384
@@ -71,6 +72,20 @@ def check_templates(scene: Scene, cam: Camera) -> None:
                 f" {scene.scan.sample_rate_hz:g} Hz; {LEAST_CYCLES / HIGHEST_HZ:g} s or more at more than"
                 f" {2 * HIGHEST_HZ:g} Hz are expected to measure it"
             )
+
+
+def check_dead_time(scene: Scene, cam: Camera) -> None:
+    """Raise SceneError if fewer detectors may be left in an observation than cleaning needs."""
+    if scene.dead_time is None:
+        return
+    steps = {name for steps in (scene.cleaning.algorithm, *scene.cleaning.compare) for name in steps}
+    left = cam.n_det - most_dead(scene.dead_time.detectors, cam.n_det)
+    needed = max(needed_detectors(scene.cleaning, name) for name in steps)
+    if left < needed:
+        raise SceneError(
+            f"dead_time.detectors: found {scene.dead_time.detectors:g}, which may leave {left} of {cam.n_det}"
+            f" detectors; {needed} or more are expected for the cleaning"
+        )
 
 
 def check_bands(scene: Scene, cameras: Mapping[str, Camera]) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.cleaning import slowness
-from mapmaker.timestreams import FocalPlane, Timestreams
+from mapmaker.timestreams import FocalPlane
 from mapmaker.wind import MIN_SCANS, WindTransforms, fit_wind, scan_velocities, wind_transforms
 from surveysim.reduction.setup import Setup
 from surveysim.telescope.pointing import Pointing
@@ -23,20 +23,28 @@ class LayerMotion:
     Attributes
     ----------
     transforms
+        None where all scans are lost.
     velocity_rad_s : (n_scan, 2)
         Velocity of the boresight in the array frame.
+    used : (n_scan,)
+        False for lost scans, which have no transforms.
     """
 
-    transforms: WindTransforms
+    transforms: WindTransforms | None
     velocity_rad_s: np.ndarray
+    used: np.ndarray
 
 
-def layer_motion(streams: Timestreams, sample_rate_hz: float) -> LayerMotion:
-    """Measure the layer's motion in the streams of one block."""
-    transforms = wind_transforms(
-        streams.data_mk, streams.scan_bounds, streams.focal_plane, sample_rate_hz=sample_rate_hz
-    )
-    return LayerMotion(transforms, scan_velocities(streams))
+def layer_motion(drawn: DrawnBlock, sample_rate_hz: float) -> LayerMotion:
+    """Measure the layer's motion in the streams of one block, without lost scans and detectors without a sample."""
+    streams, used = drawn.timestreams(), ~drawn.lost_scans
+    velocity, data = scan_velocities(streams), drawn.filled(streams.data_mk)
+    if not used.any():
+        return LayerMotion(None, velocity, used)
+    if drawn.flags is not None:  # the wind leaves constant detectors out
+        data = np.where(np.isfinite(data) & drawn.live[:, None], data, data.dtype.type(0))
+    bounds, plane = streams.scan_bounds[used], streams.focal_plane
+    return LayerMotion(wind_transforms(data, bounds, plane, sample_rate_hz=sample_rate_hz), velocity, used)
 
 
 def measured_delays(blocks: Sequence[LayerMotion], plane: FocalPlane) -> np.ndarray:
@@ -45,11 +53,11 @@ def measured_delays(blocks: Sequence[LayerMotion], plane: FocalPlane) -> np.ndar
     0 without a valid measurement, and for scans with too long delays.
     """
     velocity = np.concatenate([block.velocity_rad_s for block in blocks])
-    none = np.zeros_like(velocity)
-    if len(velocity) < MIN_SCANS:  # of a plan or a pilot
+    none, used = np.zeros_like(velocity), np.concatenate([block.used for block in blocks])
+    if used.sum() < MIN_SCANS:  # of a plan or a pilot
         return none
-    transforms = [block.transforms for block in blocks]
-    wind = fit_wind(transforms, plane, scan_velocity_rad_s=velocity)
+    transforms = [block.transforms for block in blocks if block.transforms is not None]
+    wind = fit_wind(transforms, plane, scan_velocity_rad_s=velocity[used])
     if wind.flag:
         return none
     found = slowness(wind.velocity_rad_s, velocity)
@@ -63,7 +71,7 @@ def block_delays(setup: Setup, drawn: DrawnBlock) -> np.ndarray:
     """Measure the slowness (n_scan, 2) [s/rad] in the streams of one block; 0 where no pipeline uses it."""
     if not setup.analysis.uses_wind:
         return np.zeros((len(drawn.scan_bounds), 2))
-    motion = layer_motion(drawn.timestreams(), setup.observing.scans.sample_rate_hz)
+    motion = layer_motion(drawn, setup.observing.scans.sample_rate_hz)
     return measured_delays([motion], drawn.focal_plane)
 
 
@@ -82,4 +90,4 @@ def delays_of_all_blocks(setup: Setup, observation: int, whole: Pointing, watch:
 def _block_motion(setup: Setup, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> LayerMotion:
     drawn = draw_block(setup, observation, whole, block, watch)
     with watch("wind"):
-        return layer_motion(drawn.timestreams(), setup.observing.scans.sample_rate_hz)
+        return layer_motion(drawn, setup.observing.scans.sample_rate_hz)

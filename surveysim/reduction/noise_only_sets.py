@@ -16,7 +16,8 @@ from surveysim.runtime.rng import NormalDeviates, RandomPurpose, normal_deviates
 from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.noise import draw_from_psd
-from surveysim.timestreams.observation import Stopwatch
+from surveysim.timestreams.observation import Stopwatch, sample_flags
+from surveysim.timestreams.observed_block import observed_block
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,7 @@ def add_simulated(
     plane = setup.camera.focal_plane
     for block, kept in zip(setup.observing.blocks, kept_scans, strict=True):
         pointing = whole.scans(block.first, block.end)
+        lost = sample_flags(observed_block(setup, observation, block, whole), watch)
         angle, bounds = pointing.array_angle_rad[pointing.scan], scan_bounds(pointing.scan)
         scene, names = setup.scene, setup.scene.score.noise_only_sets
         purposes = [NOISE_ONLY_SETS[name].purpose for name in names]
@@ -78,6 +80,8 @@ def add_simulated(
             with watch("pixels"):
                 some = plane.subset(rows)
                 index = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=some)
+                if lost is not None:
+                    index[lost[rows]] = -1
             for name, own in zip(names, deviates, strict=True):
                 with watch("simulated sets"):
                     data = NOISE_ONLY_SETS[name].draw(setup, own, rows, psd=psd, white=white, n_scans=block.n_scans)

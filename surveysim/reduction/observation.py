@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,21 +15,23 @@ from mapmaker.cleaning import Cleaned
 from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.geometry import MapGeometry, boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
-from mapmaker.stream_psd import hann_power, hann_scale, white_level
+from mapmaker.stream_psd import hann_power, white_level
 from mapmaker.timestreams import timestream_file
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL, AuxiliaryData, CleaningPipeline, apply_pipeline
 from surveysim.reduction.detector_weights import weighted
 from surveysim.reduction.figure_of_merit import TARGETS, best_places, figures_of_merit
 from surveysim.reduction.layer_delays import block_delays, delays_of_all_blocks
+from surveysim.reduction.live_detectors import live_pipelines
 from surveysim.reduction.map_noise import map_noise
 from surveysim.reduction.noise_only_sets import add_simulated
 from surveysim.reduction.observation_result import ObservationResult
 from surveysim.reduction.setup import Setup
+from surveysim.reduction.stream_psds import cleaned_psd, mean_psd, psd_scale, sampled_scans
 from surveysim.runtime.once import keep_last
 from surveysim.scene.analysis import Cleaning
 from surveysim.telescope.pointing import Pointing
-from surveysim.telescope.scans import Scans, samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.observation import DrawnBlock, Stopwatch, draw_band, draw_block
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.response import write_sky_signal
@@ -46,13 +47,18 @@ Map = tuple[np.ndarray, np.ndarray]  # sums and hits, or exposures, (n_y, n_x) e
 
 @dataclass(frozen=True)
 class _Part:
-    """A block with its streams, auxiliary data, and for each pipeline pixels (n_det, n_samp) and cleaned streams."""
+    """A block with its streams, without gaps in `data_mk` (n_det, n_samp), and auxiliary data.
+
+    For each pipeline, with the detectors that have samples in the block: pixels (n_det, n_samp) and cleaned streams.
+    """
 
     setup: Setup
     observation: int
     block: Block
     pointing: Pointing
     streams: DrawnBlock
+    data_mk: np.ndarray
+    pipelines: tuple[CleaningPipeline, ...]
     index: tuple[np.ndarray, ...]
     auxiliary: AuxiliaryData
     cleaned: tuple[Cleaned, ...]
@@ -64,16 +70,20 @@ class _Sums:
 
     `maps` by data set: float64 sums [mK] and int64 hits (n_y n_x,); `exposure` by data set: sums of weights
     (n_y n_x,), if detectors differ in weight; `signal_maps` (n_sky, n_transfer, 2, n_y n_x)
-    float64 or None; `power` (n_det, n_freq) of the kept scans of the actual data (`hann_power`). Of each block: `kept`,
-    `iterations` and `removed` (n_pipeline, n_scan), and the number of kept scans with their mean PSD (n_freq,)
-    [mK^2/Hz], before cleaning (`raw`) and after the other pipelines (`compared`).
+    float64 or None; `power` (n_det, n_freq) of the kept scans of the actual data (`hann_power`), and their number less
+    the part of lost samples, `sampled` (n_det,); number `flagged` of lost samples. Of each block: `kept`, `iterations`
+    and `removed` (n_pipeline, n_scan), `lost` (n_scan,) scans, and the number of kept scans with their mean PSD
+    (n_freq,) [mK^2/Hz], before cleaning (`raw`) and after the other pipelines (`compared`).
     """
 
     maps: dict[str, Map]
     exposure: dict[str, np.ndarray]
     signal_maps: np.ndarray | None
     power: np.ndarray
+    sampled: np.ndarray
+    flagged: int = 0
     kept: list[np.ndarray] = field(default_factory=list)
+    lost: list[np.ndarray] = field(default_factory=list)
     iterations: list[np.ndarray] = field(default_factory=list)
     removed: list[np.ndarray] = field(default_factory=list)
     raw: list[tuple[int, np.ndarray]] = field(default_factory=list)
@@ -95,9 +105,10 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
     with _saved(path, len(pointing.time_s)) as save:
         for block in setup.observing.blocks:
             _add_part(sums, _reduce(setup, observation, pointing, block, delays_s_rad=delays, watch=watch), save, watch)
-    kept = np.concatenate(sums.kept, axis=1)
-    psd = sums.power / max(1, kept[0].sum()) * _psd_scale(setup.observing.scans, setup.stream_type)
-    white = np.full(1, np.nan)
+    kept, lost, measured = np.concatenate(sums.kept, axis=1), np.concatenate(sums.lost), _some(sums.sampled > 0)
+    scale = psd_scale(setup.observing.scans, setup.stream_type)
+    psd = sums.power / np.where(sums.sampled > 0, sums.sampled, 1)[:, None] * scale
+    white = np.full(len(psd), np.nan)
     if setup.scene.score:
         n, rate = samples_per_scan(setup.observing.scans), setup.observing.scans.sample_rate_hz
         white = white_level(psd, n, rate, setup.scene.score.white_noise_above_hz)
@@ -118,10 +129,10 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
     total, hits = (np.stack(planes) for planes in zip(*ordered, strict=True))
     weights = np.stack([exposure[name] for name in analysis.data_set_names]) if sums.exposure else hits
     with watch("weights"):
-        measured = [map_noise(analysis.region, *item) for item in zip(total, weights, strict=True)]
-        noise, of_bins = (np.array(part) for part in zip(*measured, strict=True))
+        of_sets = [map_noise(analysis.region, *item) for item in zip(total, weights, strict=True)]
+        noise, of_bins = (np.array(part) for part in zip(*of_sets, strict=True))
     removed = np.concatenate(sums.removed, axis=1)
-    compared = [_mean_psd(list(of_pipeline)) for of_pipeline in zip(*sums.compared, strict=True)]
+    compared = [mean_psd(list(of_pipeline)) for of_pipeline in zip(*sums.compared, strict=True)]
     return ObservationResult(
         observation=observation,
         sums=total,
@@ -130,16 +141,17 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
         noise_mk2=noise,
         bin_noise_mk2=of_bins,
         signal_maps=_scored_signal_maps(analysis, setup.stream_type, sums.signal_maps, best),
-        discarded=tuple((~kept).sum(axis=1).tolist()),
-        iterations=tuple(np.concatenate(sums.iterations, axis=1).mean(axis=1).tolist()),
+        discarded=tuple((~kept & ~lost).sum(axis=1).tolist()),
+        iterations=tuple(np.concatenate(sums.iterations, axis=1)[:, _some(~lost)].mean(axis=1).tolist()),
         removed=tuple(float(row[_some(of)].mean()) for row, of in zip(removed, kept, strict=True)),
         figures_of_merit=worth,
         weather=observation_weather(setup, observation),
         elevation_rad=float(pointing.elevation_rad.mean()),
-        raw_psd=_mean_psd(sums.raw),
-        clean_psd=psd.mean(axis=0),
+        raw_psd=mean_psd(sums.raw),
+        clean_psd=psd[measured].mean(axis=0),
         compared_psd=np.array(compared).reshape(-1, psd.shape[1]),
-        white_mk2_hz=float(white.mean()),
+        white_mk2_hz=float(white[measured].mean()),
+        flagged=sums.flagged / (len(psd) * len(pointing.time_s)),
         seconds=watch.seconds,
     )
 
@@ -155,14 +167,14 @@ def _saved(path: Path | None, n_samp: int) -> Iterator[Callable[[_Part], None]]:
 
 
 def kept_scans(setup: Setup, observation: int) -> np.ndarray:
-    """Find the scans that each pipeline keeps of an observation, (n_pipeline, n_scan) bool."""
+    """Find the scans of an observation that each pipeline does not discard, (n_pipeline, n_scan) bool."""
     (_, pointing), watch = observation_path(setup.observing, observation), Stopwatch()
     delays = delays_of_all_blocks(setup, observation, pointing, watch)
     parts = (
         _reduce(setup, observation, pointing, block, delays_s_rad=delays, watch=watch)
         for block in setup.observing.blocks
     )
-    return np.concatenate([[item.kept for item in part.cleaned] for part in parts], axis=1)
+    return np.concatenate([[item.kept | part.streams.lost_scans for item in part.cleaned] for part in parts], axis=1)
 
 
 def _empty_sums(setup: Setup, with_signal_sims: bool) -> _Sums:
@@ -177,7 +189,7 @@ def _empty_sums(setup: Setup, with_signal_sims: bool) -> _Sums:
     if setup.analysis.weight is not None:
         exposure = {name: np.zeros(n_pixel) for name in hits}
         exposure |= {name: exposure[ACTUAL] for name in names if name not in hits}
-    return _Sums(maps, exposure, signals, power)
+    return _Sums(maps, exposure, signals, power, np.zeros(len(power)))
 
 
 def _add_part(sums: _Sums, part: _Part, save: Callable[[_Part], None], watch: Stopwatch) -> None:
@@ -186,7 +198,7 @@ def _add_part(sums: _Sums, part: _Part, save: Callable[[_Part], None], watch: St
     save(part)
     with watch("spectra"):
         _add_spectra(sums, part)
-    for pipeline, index, item in zip(setup.analysis.pipelines, part.index, part.cleaned, strict=True):
+    for pipeline, index, item in zip(part.pipelines, part.index, part.cleaned, strict=True):
         with watch("binning"):
             weight, bounds = setup.analysis.weight_of(pipeline.rows), part.streams.scan_bounds
             bin_samples(weighted(item.data_mk, weight), index, bounds, item.kept, *sums.maps[pipeline.data_set])
@@ -196,6 +208,8 @@ def _add_part(sums: _Sums, part: _Part, save: Callable[[_Part], None], watch: St
                 bin_samples(alike, index, bounds, item.kept, sums.exposure[pipeline.data_set], None)
     for name in ("kept", "iterations", "removed"):
         getattr(sums, name).append(np.array([getattr(item, name) for item in part.cleaned]))
+    sums.lost.append(part.streams.lost_scans)
+    sums.flagged += 0 if part.streams.flags is None else int(np.count_nonzero(part.streams.flags))
     if sums.signal_maps is not None:
         with watch("transfer_function"):
             _add_signal_maps(sums.signal_maps, part, setup.analysis.signal_skies_mk)
@@ -212,23 +226,26 @@ def _reduce(
 ) -> _Part:
     """Draw and clean one block of an observation with the pointing `whole`; without delays they are the block's own."""
     streams = draw_block(setup, observation, whole, block, watch)
-    pointing, plane = streams.of.pointing, streams.focal_plane
+    pointing, plane, pipelines = streams.of.pointing, streams.focal_plane, live_pipelines(setup, streams.live)
     with watch("pixels"):
         angle = pointing.array_angle_rad[pointing.scan]
         pixels = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
-        index = tuple(pixels[pipeline.rows] for pipeline in setup.analysis.pipelines)
+        if streams.flags is not None:
+            pixels[streams.flags] = -1
+        index = tuple(pixels[pipeline.rows] for pipeline in pipelines)
+    data_mk = streams.filled(streams.data_mk)
     with watch("wind"):
         bands = _other_bands(setup, observation, whole, block, streams.data_mk)
         delays = block_delays(setup, streams) if delays_s_rad is None else delays_s_rad[block.first : block.end]
         auxiliary = AuxiliaryData(delays, bands, setup.analysis.calibration)
     section, rate = setup.scene.cleaning, setup.observing.scans.sample_rate_hz
     cleaned, everyone = [], np.ones(block.n_scans, bool)
-    for pipeline in setup.analysis.pipelines:
+    for pipeline in pipelines:
         with watch("cleaning" if pipeline.steps == section.algorithm else f"cleaning {pipeline.label}"):
-            data = streams.data_mk[pipeline.rows]
+            data = data_mk[pipeline.rows]
             item = _clean(section, pipeline, streams, data, auxiliary=auxiliary, scans=everyone, rate_hz=rate)
         cleaned.append(item)
-    return _Part(setup, observation, block, pointing, streams, index, auxiliary, tuple(cleaned))
+    return _Part(setup, observation, block, pointing, streams, data_mk, pipelines, index, auxiliary, tuple(cleaned))
 
 
 def _other_bands(setup: Setup, observation: int, whole: Pointing, block: Block, data_mk: np.ndarray) -> np.ndarray:
@@ -263,25 +280,14 @@ def _clean(
 
 
 def _add_spectra(sums: _Sums, part: _Part) -> None:
-    data, n_scans = part.streams.data_mk, part.block.n_scans
-    scale = _psd_scale(part.setup.observing.scans, part.setup.stream_type)
+    streams, seen = part.streams, ~part.streams.lost_scans
+    scale, rows = psd_scale(part.setup.observing.scans, part.setup.stream_type), part.pipelines[0].rows
     actual, *others = part.cleaned[: len(part.setup.analysis.whole_pipelines)]
-    sums.power += hann_power(actual.data_mk, n_scans, actual.kept)
-    raw = hann_power(data, n_scans, np.ones(n_scans, bool))
-    sums.raw.append((n_scans, (raw / n_scans * scale).mean(axis=0)))
-    powers = [(int(item.kept.sum()), hann_power(item.data_mk, n_scans, item.kept)) for item in others]
-    sums.compared.append([(n, (power / max(1, n) * scale).mean(axis=0)) for n, power in powers])
-
-
-def _psd_scale(scans: Scans, dtype: np.dtype) -> float:
-    return hann_scale(samples_per_scan(scans), scans.sample_rate_hz, dtype)
-
-
-def _mean_psd(blocks: list[tuple[int, np.ndarray]]) -> np.ndarray:
-    """Average PSDs (n_freq,) of blocks, weighted by their numbers of scans; 0 without a scan."""
-    n_scans = max(1, sum(n for n, _ in blocks))
-    total: Any = sum(psd * (n / n_scans) for n, psd in blocks)
-    return total
+    sums.power[rows] += hann_power(actual.data_mk, part.block.n_scans, actual.kept)
+    sums.sampled[rows] += sampled_scans(streams, rows, actual.kept)
+    raw = hann_power(part.data_mk[rows], part.block.n_scans, seen)
+    sums.raw.append((int(seen.sum()), (raw / max(1, seen.sum()) * scale).mean(axis=0)))
+    sums.compared.append([cleaned_psd(streams, rows, item, scale) for item in others])
 
 
 def _some(kept: np.ndarray) -> np.ndarray:
@@ -303,12 +309,12 @@ def _empty_signal_maps(analysis: AnalysisSetup, n_sky: int) -> np.ndarray:
 def _add_signal_maps(signal_maps: np.ndarray, part: _Part, skies_mk: np.ndarray) -> None:
     """Add each sky before time constants and cleaning, and the difference that it makes to the cleaned data."""
     setup, section, streams = part.setup, part.setup.scene.cleaning, part.streams
-    rate, extra, raw = setup.observing.scans.sample_rate_hz, part.auxiliary, streams.data_mk
+    rate, extra, raw = setup.observing.scans.sample_rate_hz, part.auxiliary, part.data_mk
     bounds, signal = streams.scan_bounds, np.empty_like(streams.data_mk)
-    of_pipelines = list(zip(setup.analysis.pipelines, part.index, part.cleaned, strict=True))
+    of_pipelines = list(zip(part.pipelines, part.index, part.cleaned, strict=True))
     for s, sky in enumerate(skies_mk):
         write_sky_signal(setup, part.pointing, sky, signal)
-        passed = with_time_constants(setup, signal)
+        passed = streams.filled(with_time_constants(setup, signal))
         for pipeline, index, base in of_pipelines:
             seen, place = signal[pipeline.rows], setup.analysis.transfer_function_names.index(pipeline.data_set)
             scans = _cleaned_again(section, pipeline, base.kept)

@@ -39,6 +39,8 @@ class ObservationResult:
         PSDs after the other pipelines.
     white_mk2_hz
         White level after cleaning, mean over detectors.
+    flagged
+        Fraction of the samples of all detectors that is lost.
     seconds
         Time spent in each stage.
     """
@@ -60,4 +62,5 @@ class ObservationResult:
     clean_psd: np.ndarray
     compared_psd: np.ndarray
     white_mk2_hz: float
+    flagged: float = 0.0
     seconds: dict[str, float] = field(default_factory=dict)

@@ -3,12 +3,15 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from mapmaker.wind import HIGHEST_HZ
-from surveysim.atmosphere.weather import fastest_wind, survey_weather
+from surveysim.atmosphere.water import Season
+from surveysim.atmosphere.weather import Water, fastest_wind, survey_weather
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.memory import machine_bytes
+from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.scene import Scene
 from surveysim.telescope.noise_levels import stop_emits
 from surveysim.telescope.pixel_coherence import MOST_DENSE
@@ -52,16 +55,18 @@ def check_layer(
     if air.strips is None:
         return 0
     drawn = scene.observations <= MOST_DRAWN
-    wind = _drawn_wind(scene, air) if drawn else fastest_wind(scene.atmosphere, air.water, scene.observations)
+    if drawn:
+        when = air.seasons or (None,) * scene.observations
+        wind = _drawn_wind(scene.atmosphere, air.water, scene.seed, when)
+    else:
+        wind = fastest_wind(scene.atmosphere, air.water, scene.observations)
     return _check_strip(air.strips, wind, radius_rad, scans, lowest_rad)
 
 
-def _drawn_wind(scene: Scene, air: AirSetup) -> float:
+@lru_cache(maxsize=2)  # points of a sweep have weather in common
+def _drawn_wind(atmosphere: Atmosphere, water: Water | None, seed: int, when: tuple[Season | None, ...]) -> float:
     """Draw the fastest wind [rad/s] of all observations; raises an error for weather that is not finite."""
-    drawn = (
-        survey_weather(scene.atmosphere, air.water, scene.seed, number, when=when)
-        for number, when in enumerate(air.seasons or (None,) * scene.observations)
-    )
+    drawn = (survey_weather(atmosphere, water, seed, number, when=season) for number, season in enumerate(when))
     return max(weather.wind_speed_rad_s for weather in drawn)
 
 

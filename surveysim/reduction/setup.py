@@ -16,6 +16,7 @@ from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline, pipelines
 from surveysim.reduction.consistency import (
     check_bands,
+    check_dead_time,
     check_excess,
     check_healpix,
     check_levels,
@@ -46,6 +47,7 @@ from surveysim.telescope.scans import Scans, mid_times, samples_per_scan
 from surveysim.telescope.table_checks import check_table
 from surveysim.timestreams.scan_blocks import Block, scan_blocks
 from surveysim.timestreams.shared_parts import layer_strips
+from surveysim.timestreams.sharing import check_groups
 from surveysim.timestreams.simulation import (
     AirSetup,
     CameraSetup,
@@ -181,6 +183,9 @@ def _prepare(scene: Scene) -> Setup:
     common = _common(scene)
     cam, scans, geometry = common.cameras[scene.band_name], common.scans, common.geometry
     check_templates(scene, cam)
+    check_dead_time(scene, cam)
+    for band in (scene, *scene.others):
+        check_groups(band, common.cameras[band.band_name])
     check_bands(scene, common.cameras)
     masked = None
     if scene.score and scene.score.mask_separation_f_lambda:

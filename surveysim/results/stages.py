@@ -8,7 +8,9 @@ from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.component import COMPONENTS, present_components
 
 # Optional sections, and the consequence of leaving each out.
-OPTIONAL = {item.name: item.absence for item in COMPONENTS} | {"score": ": no map PSDs, no sign-flipped maps"}
+OPTIONAL = {item.name: item.absence for item in COMPONENTS if item.absence is not None} | {
+    "score": ": no map PSDs, no sign-flipped maps"
+}
 
 
 def absent_sections(scene: Scene) -> list[str]:

@@ -31,6 +31,7 @@ from surveysim.scene.numerics import Numerics
 from surveysim.scene.observing import MIN_SAMPLES, FieldSection, FixedPointing, Scan, Schedule
 from surveysim.scene.optics import Optics
 from surveysim.scene.place import Place, SiteSection, own_place, shipped_place, with_place
+from surveysim.scene.readout import ReadoutSections
 from surveysim.scene.renamed_keys import renamed_lines
 from surveysim.scene.section import Section
 from surveysim.scene.shipped import MAX_NAME, NAME, find_scene, is_name, no_such_scene
@@ -84,7 +85,7 @@ class ObservationSections(Section):
     scan: Scan
 
 
-class Scene(StreamSections, ObservationSections):
+class Scene(ReadoutSections, StreamSections, ObservationSections):
     """A whole scene; a section that is left out leaves out its stage of the simulation.
 
     Two attributes are no keys of the file. `assumed` lists the values whose comments call them assumed or calibrated.
@@ -138,12 +139,29 @@ class Scene(StreamSections, ObservationSections):
         self._beam_is_known()
         self._load_is_given()
         self._power_is_known()
+        self._readout_fits()
         if not any(getattr(self, name) for name in StreamSections.model_fields):
             *names, last = StreamSections.model_fields
             raise ValueError(f"at least one of {', '.join(names)} and {last} is expected")
         if (found := self.scan.duration_s * self.scan.sample_rate_hz) < MIN_SAMPLES:
             raise ValueError(f"scan.duration: found {found:.3g} samples a scan; {MIN_SAMPLES} or more are expected")
         return self
+
+    def _readout_fits(self) -> None:
+        """Raise ValueError for lines that samples do not resolve, and for levels relative to noise that is left out."""
+        for number, line in enumerate(self.lines):
+            if line.frequency_hz > self.scan.sample_rate_hz / 2:
+                raise ValueError(
+                    f"lines[{number}].frequency: found {line.frequency_hz:g} Hz; half of scan.sample_rate,"
+                    f" {self.scan.sample_rate_hz / 2:g} Hz, or less is expected"
+                )
+        if self.photon or self.detector:
+            return
+        for name, part in self.readout_noise.parts.items() if self.readout_noise else ():
+            if part.psd_mk2_hz is None:
+                raise ValueError(f"readout_noise.{name}.psd: missing; without [photon] and [detector] it is expected")
+        if self.glitches and self.glitches.threshold is not None:
+            raise ValueError("glitches.threshold: found without [photon] and [detector], whose noise it is relative to")
 
     def _beam_is_known(self) -> None:
         """Raise ValueError for a beam or (f/#)lambda that is left out without an aperture that it follows from."""

@@ -243,6 +243,8 @@ def _check_rows(columns: Mapping[str, np.ndarray], setup: Setup) -> None:
     for name, column in columns.items():
         if name.startswith("discarded_") and not ((column >= 0) & (column <= setup.observing.scans.n_scans)).all():
             raise ValueError(f"{name} has other values than numbers of scans")
+        if name == "flagged" and not ((column >= 0) & (column <= 1)).all():
+            raise ValueError("flagged has other values than fractions")
         if name.startswith(("noise_mk2_", "b2_mk2", "pwv_mm", "wind_speed")) and (column < 0).any():
             raise ValueError(f"{name} has negative values")
 

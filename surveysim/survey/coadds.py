@@ -27,6 +27,7 @@ ROW_FIELDS = (
     "pwv_mm",
     "elevation_rad",
     "white_mk2_hz",
+    "flagged",
 )
 _OF_SIGNALS = ("signal_maps", "signal_weight")
 
@@ -305,7 +306,7 @@ def _row(result: ObservationResult) -> tuple[float, ...]:
     drawn = (np.nan,) * 4
     if weather is not None:
         drawn = (weather.b2, weather.wind_speed_rad_s, weather.wind_angle_rad, weather.pwv_mm)
-    conditions = (result.observation, *drawn, result.elevation_rad, result.white_mk2_hz)
+    conditions = (result.observation, *drawn, result.elevation_rad, result.white_mk2_hz, result.flagged)
     cleaning = (*result.discarded, *result.iterations, *result.removed)
     figures_of_merit = () if result.figures_of_merit is None else result.figures_of_merit.T.ravel()
     return (*conditions, *cleaning, *figures_of_merit, *result.noise_mk2)

@@ -27,6 +27,8 @@ class DetectorProperties:
         Relative responsivity; its mean is 1.
     beam_fwhm_rad
     time_constant_s
+    readout_group
+        Name of the readout group.
     """
 
     noise: np.ndarray | None = None
@@ -35,6 +37,7 @@ class DetectorProperties:
     responsivity: np.ndarray | None = None
     beam_fwhm_rad: np.ndarray | None = None
     time_constant_s: np.ndarray | None = None
+    readout_group: np.ndarray | None = None
 
     @property
     def white_differs(self) -> bool:
@@ -77,6 +80,7 @@ def table_properties(table: DetectorTable, rows: np.ndarray) -> DetectorProperti
         responsivity=None if responsivity is None else responsivity / responsivity.mean(),
         beam_fwhm_rad=found.get("beam_fwhm"),
         time_constant_s=found.get("time_constant"),
+        readout_group=found.get("readout_group"),
     )
 
 

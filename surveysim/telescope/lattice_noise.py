@@ -181,12 +181,30 @@ LatticeCorrelation = CirculantCorrelation | WaferCorrelation
 
 
 @dataclass(frozen=True, eq=False)
+class GroupCorrelation:
+    """Correlation of noise that all detectors of a group have in common: 1 within it, 0 between groups.
+
+    `groups` (n_det,) are the numbers of the groups.
+    """
+
+    groups: np.ndarray
+
+    def times(self, columns: np.ndarray) -> np.ndarray:
+        """Multiply the correlation with columns (n_det, n_column), real or complex."""
+        order = np.argsort(self.groups, kind="stable")
+        _, first, group = np.unique(self.groups[order], return_index=True, return_inverse=True)
+        product = np.empty_like(columns)
+        product[order] = np.add.reduceat(columns[order], first, axis=0)[group]
+        return product
+
+
+@dataclass(frozen=True, eq=False)
 class NoiseCorrelation:
     """Matrix (n_det, n_det) of `torus` (None: zero), multiplied by `gain` (n_det,) on both sides, for products from the
     left.
     """
 
-    torus: LatticeCorrelation | None
+    torus: LatticeCorrelation | GroupCorrelation | None
     gain: np.ndarray
 
     def __matmul__(self, columns: np.ndarray) -> np.ndarray:

@@ -8,9 +8,13 @@ import numpy as np
 from surveysim.scene.scene import Scene
 from surveysim.timestreams.atmosphere import add_atmosphere
 from surveysim.timestreams.detector import add_detector_noise
+from surveysim.timestreams.glitches import add_glitches, flag_glitches
+from surveysim.timestreams.lines import add_lines
+from surveysim.timestreams.lost_data import flag_dead_time, flag_dropped_samples
 from surveysim.timestreams.low_frequency import add_low_frequency_noise
 from surveysim.timestreams.observed_block import ObservedBlock
 from surveysim.timestreams.photon import add_photon_noise
+from surveysim.timestreams.readout_noise import add_readout_noise
 from surveysim.timestreams.sky import add_scene_sky
 
 
@@ -25,21 +29,26 @@ class StreamComponent:
     title
         Its name in reports.
     add
-        Function that adds the component of a block to streams (n_det, n_samp) [mK], in place.
+        Function that adds the component of a block to streams (n_det, n_samp) [mK], in place; None for lost samples
+        alone.
     sentence
         One line for plans and reports.
     through_response
         Whether detectors see it and respond to it; else it is noise at their output.
     absence
-        Consequence of its absence, for plans, after a colon.
+        Consequence of its absence, for plans, after a colon; None for a component that most scenes do without.
+    flag
+        Function that flags the samples of a block that the component loses in flags (n_det, n_samp), in place; None for
+        a component that loses none.
     """
 
     name: str
     title: str
-    add: Callable[[np.ndarray, ObservedBlock], None]
+    add: Callable[[np.ndarray, ObservedBlock], None] | None
     sentence: str
     through_response: bool
-    absence: str = ""
+    absence: str | None = ""
+    flag: Callable[[np.ndarray, ObservedBlock], None] | None = None
 
 
 # The order of additions is part of a scene's results, as its seed is: float32 sums depend on it. Components that pass
@@ -82,9 +91,57 @@ COMPONENTS = (
         "white noise of each detector",
         through_response=False,
     ),
+    StreamComponent(
+        "readout_noise",
+        "Readout noise",
+        add_readout_noise,
+        "1/f noise of detectors, readout groups and array",
+        through_response=False,
+        absence=None,
+    ),
+    StreamComponent(
+        "lines",
+        "Lines",
+        add_lines,
+        "microphonic lines",
+        through_response=False,
+        absence=None,
+    ),
+    StreamComponent(
+        "glitches",
+        "Glitches",
+        add_glitches,
+        "hits that decay; those that are found are flagged",
+        through_response=False,
+        absence=None,
+        flag=flag_glitches,
+    ),
+    StreamComponent(
+        "dropped_samples",
+        "Dropped samples",
+        None,
+        "gaps, which are flagged",
+        through_response=False,
+        absence=None,
+        flag=flag_dropped_samples,
+    ),
+    StreamComponent(
+        "dead_time",
+        "Dead time",
+        None,
+        "detectors and scans that are lost in each observation",
+        through_response=False,
+        absence=None,
+        flag=flag_dead_time,
+    ),
 )
 
 
 def present_components(scene: Scene) -> tuple[StreamComponent, ...]:
     """Components that the scene has a section for, in the order of addition."""
-    return tuple(item for item in COMPONENTS if getattr(scene, item.name) is not None)
+    return tuple(item for item in COMPONENTS if getattr(scene, item.name))
+
+
+def loses_samples(scene: Scene) -> bool:
+    """Return whether a component of the scene flags samples as lost."""
+    return any(item.flag is not None for item in present_components(scene))

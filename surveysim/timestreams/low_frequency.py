@@ -1,6 +1,9 @@
 """Excess noise at low frequencies: a power law of frequency, correlated between detectors."""
 
+from functools import lru_cache
+
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from mapmaker.chunks import row_chunks
 from surveysim.runtime.rng import NormalDeviates, RandomPurpose
@@ -8,6 +11,9 @@ from surveysim.scene.noise_and_sky import Excess
 from surveysim.telescope.lattice_noise import LatticeFactor
 from surveysim.timestreams.noise import draw_from_psd, mode_amplitude
 from surveysim.timestreams.observed_block import ObservedBlock
+
+# Samples of a scan. Shorter ones are drawn sooner by the root of their covariance than by Fourier transforms.
+LONGEST_ROOT = 200
 
 
 def add_low_frequency_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
@@ -79,8 +85,10 @@ def add_excess(
 ) -> None:
     """Add the excess noise of whole scans to streams (n_det, n_samp), in place.
 
-    Streams are drawn with twice the length of a scan, so its end is not correlated with its beginning. No shorter
-    period is exact: a period of m samples makes the correlations at the lags t and m - t equal.
+    Streams have the covariance of a stretch of streams with twice the length of a scan, so its end is not correlated
+    with its beginning. Scans of up to `LONGEST_ROOT` samples are drawn by the root of this covariance, longer ones and
+    those of many detectors as such streams. No shorter period is exact: a period of m samples makes the correlations
+    at the lags t and m - t equal.
 
     Parameters
     ----------
@@ -93,6 +101,14 @@ def add_excess(
 
     n_det, n_samp = data_mk.shape
     per_scan = n_samp // n_scans
+    if not isinstance(factor, LatticeFactor) and per_scan <= LONGEST_ROOT:
+        root = np.float32(variance_mk2**0.5) * _scan_root(section, per_scan, sample_rate_hz)
+        streams = np.empty((n_det * n_scans, per_scan), np.float32)
+        for rows in row_chunks(len(streams), per_scan):
+            normals = deviates.draw(streams[rows].shape, first=rows.start * per_scan)
+            np.matmul(normals, root, out=streams[rows])
+        _add_correlated(data_mk, streams, factor)
+        return
     n = next_fast_len(2 * per_scan, real=True)
     psd = excess_psd(section, variance_mk2, per_scan, n, sample_rate_hz)
     if isinstance(factor, LatticeFactor):
@@ -106,8 +122,23 @@ def add_excess(
         shape, first = streams[rows].shape[:2], rows.start * n_scans
         drawn = draw_from_psd(psd, shape, n, sample_rate_hz, deviates, first_stream=first)
         streams[rows] = drawn[..., :per_scan]
-    streams = streams.reshape(n_det, n_samp)
+    _add_correlated(data_mk, streams, factor)
+
+
+def _add_correlated(data_mk: np.ndarray, streams: np.ndarray, factor: np.ndarray | None) -> None:
+    """Add independent streams of as many samples, correlated by a factor, in place."""
+    streams = streams.reshape(data_mk.shape)
     data_mk += streams if factor is None else factor.astype(np.float32) @ streams
+
+
+@lru_cache(maxsize=8)  # sections of the bands of a camera
+@threadpool_limits.wrap(limits=1)  # the last bits of eigenvectors depend on the number of BLAS threads
+def _scan_root(section: Excess, n_samp: int, sample_rate_hz: float) -> np.ndarray:
+    """Root (n_samp, n_samp) of the covariance of a scan with unit variance; normal deviates go to its left."""
+    psd = excess_psd(section, 1.0, n_samp, 2 * n_samp, sample_rate_hz)
+    lag = np.abs(np.arange(n_samp) - np.arange(n_samp)[:, None])
+    value, vector = np.linalg.eigh(np.fft.irfft(psd)[lag] * (sample_rate_hz / 2))
+    return (vector * np.sqrt(np.maximum(value, 0))).T.astype(np.float32)
 
 
 def _add_lattice_scan(

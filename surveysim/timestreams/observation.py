@@ -10,6 +10,7 @@ import numpy as np
 
 from mapmaker.geometry import north_angle, plane_directions
 from mapmaker.kernels.compiled import compile_s, compile_timer
+from mapmaker.lost_samples import fill_flagged
 from mapmaker.timestreams import FocalPlane, Timestreams, scan_bounds
 from surveysim.scene.scene import Scene, survey_hash
 from surveysim.telescope.pointing import Pointing
@@ -43,10 +44,14 @@ def draw_observation(setup: Simulation, observation: int) -> Timestreams:
     (_, pointing), watch = observation_path(setup.observing, observation), Stopwatch()
     if len(setup.observing.blocks) == 1:
         return draw_block(setup, observation, pointing, setup.observing.blocks[0], watch).timestreams()
-    data = np.empty((setup.camera.n_det, len(pointing.time_s)), setup.stream_type)
+    data, flags = np.empty((setup.camera.n_det, len(pointing.time_s)), setup.stream_type), None
     for block in setup.observing.blocks:
-        data[:, setup.observing.samples(block)] = draw_block(setup, observation, pointing, block, watch).data_mk
-    return _timestreams(setup, observation, pointing, pointing=pointing, first=0, data=data)
+        drawn, samples = draw_block(setup, observation, pointing, block, watch), setup.observing.samples(block)
+        data[:, samples] = drawn.data_mk
+        if drawn.flags is not None:
+            flags = np.empty(data.shape, bool) if flags is None else flags
+            flags[:, samples] = drawn.flags
+    return _timestreams(setup, observation, pointing, pointing=pointing, first=0, data=data, flags=flags)
 
 
 @dataclass(frozen=True)
@@ -58,26 +63,49 @@ class DrawnBlock:
     of
         The block.
     data_mk : (n_det, n_samp)
+    flags : (n_det, n_samp)
+        True for lost samples; None where the scene loses none.
     """
 
     of: ObservedBlock
     data_mk: np.ndarray
+    flags: np.ndarray | None = None
 
     @cached_property
     def scan_bounds(self) -> np.ndarray:
         """First and one-past-last sample of each scan, (n_scan, 2)."""
         return scan_bounds(self.of.pointing.scan)
 
+    @cached_property
+    def lost_scans(self) -> np.ndarray:
+        """Scans (n_scan,) bool without a sample of any detector."""
+        if self.flags is None:
+            return np.zeros(len(self.scan_bounds), bool)
+        by_scan = self.flags.reshape(len(self.flags), len(self.scan_bounds), -1)
+        return np.asarray(by_scan.all(axis=(0, 2)))
+
+    @cached_property
+    def live(self) -> np.ndarray:
+        """Detectors (n_det,) bool with a sample in the block."""
+        if self.flags is None:
+            return np.ones(len(self.data_mk), bool)
+        return np.asarray(~self.flags.all(axis=1))
+
     @property
     def focal_plane(self) -> FocalPlane:
         """Detectors in the array frame."""
         return self.of.setup.camera.focal_plane
 
+    def filled(self, data_mk: np.ndarray) -> np.ndarray:
+        """Fill the lost samples of streams (n_det, n_samp) of this block; the streams themselves without flags."""
+        return data_mk if self.flags is None else fill_flagged(data_mk, self.scan_bounds, self.flags)
+
     def timestreams(self) -> Timestreams:
         """Attach directions on the sky and true parameters, which most reductions do without."""
         of = self.of
         pointing, first = of.pointing, of.block.first
-        return _timestreams(of.setup, of.observation, of.whole, pointing=pointing, first=first, data=self.data_mk)
+        data, flags = self.data_mk, self.flags
+        return _timestreams(of.setup, of.observation, of.whole, pointing=pointing, first=first, data=data, flags=flags)
 
 
 def draw_block(setup: Simulation, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> DrawnBlock:
@@ -91,7 +119,7 @@ def draw_block(setup: Simulation, observation: int, whole: Pointing, block: Bloc
         Stopwatch that each component is timed with, under its name.
     """
     of = observed_block(setup, observation, block, whole)
-    return DrawnBlock(of, _drawn(of, present_components(setup.scene), watch))
+    return DrawnBlock(of, _drawn(of, present_components(setup.scene), watch), sample_flags(of, watch))
 
 
 def _drawn(of: ObservedBlock, components: Sequence[StreamComponent], watch: Stopwatch) -> np.ndarray:
@@ -106,12 +134,23 @@ def _drawn(of: ObservedBlock, components: Sequence[StreamComponent], watch: Stop
 
 def _add(components: Sequence[StreamComponent], data: np.ndarray, of: ObservedBlock, watch: Stopwatch) -> None:
     for item in components:
+        if item.add is not None:
+            with watch(item.name):
+                item.add(data, of)
+
+
+def sample_flags(of: ObservedBlock, watch: Stopwatch) -> np.ndarray | None:
+    """Flags (n_det, n_samp) of the lost samples of a block; None where no component of the scene loses any."""
+    present = [item for item in present_components(of.setup.scene) if item.flag is not None]
+    lost = np.zeros((of.setup.camera.n_det, len(of.pointing.time_s)), bool) if present else None
+    for item in present:
         with watch(item.name):
-            item.add(data, of)
+            item.flag(lost, of)
+    return lost
 
 
 def draw_band(setup: Simulation, observation: int, whole: Pointing, block: Block) -> np.ndarray:
-    """Draw the streams of another band in one block: layer and noise, as a run of that band draws them.
+    """Draw the streams of another band in one block, without gaps: layer and noise, as a run of that band draws them.
 
     The sky is left out, because the simulated signals that measure transfer functions are in the mapped band alone.
 
@@ -125,7 +164,8 @@ def draw_band(setup: Simulation, observation: int, whole: Pointing, block: Block
     (n_det, n_samp) array [mK]
     """
     of = observed_block(setup, observation, block, whole)
-    return _drawn(of, [item for item in present_components(setup.scene) if item.name != "sky"], Stopwatch())
+    data = _drawn(of, [item for item in present_components(setup.scene) if item.name != "sky"], Stopwatch())
+    return DrawnBlock(of, data, sample_flags(of, Stopwatch())).filled(data)
 
 
 @lru_cache(maxsize=2)  # one for all observations
@@ -134,7 +174,14 @@ def _survey_hash(scene: Scene) -> str:
 
 
 def _timestreams(
-    setup: Simulation, observation: int, whole: Pointing, *, pointing: Pointing, first: int, data: np.ndarray
+    setup: Simulation,
+    observation: int,
+    whole: Pointing,
+    *,
+    pointing: Pointing,
+    first: int,
+    data: np.ndarray,
+    flags: np.ndarray | None,
 ) -> Timestreams:
     """Attach pointing and true parameters to streams that begin with the scan `first` of an observation."""
     weather = observation_weather(setup, observation)
@@ -164,4 +211,4 @@ def _timestreams(
     north = north_angle(setup.sky.geometry, pointing.xi_rad, pointing.eta_rad)
     angle = pointing.array_angle_rad[pointing.scan] - north
     plane = setup.camera.focal_plane
-    return Timestreams(data, pointing.time_s, ra, dec, angle, first + pointing.scan, plane, attributes)
+    return Timestreams(data, pointing.time_s, ra, dec, angle, first + pointing.scan, plane, attributes, flags)

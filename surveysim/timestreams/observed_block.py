@@ -46,6 +46,10 @@ class ObservedBlock:
         """Create the random generator of one purpose in this block, and in this band of the camera."""
         return generator(self.setup.scene.seed, purpose, self.observation, realization=realization, **self._place)
 
+    def observation_generator(self, purpose: RandomPurpose | str) -> np.random.Generator:
+        """Create the random generator of one purpose in the observation, which all its blocks have in common."""
+        return generator(self.setup.scene.seed, purpose, self.observation, band=self.setup.scene.band_name)
+
     def deviates(self, purpose: RandomPurpose | str, realization: int = 0) -> NormalDeviates:
         """Create the normal deviates of one purpose in this block, and in this band of the camera."""
         return normal_deviates(self.setup.scene.seed, purpose, self.observation, realization=realization, **self._place)
@@ -76,6 +80,11 @@ def observation_levels(setup: Simulation, observation: int) -> WhiteLevels:
 def white_of_block(of: ObservedBlock) -> WhiteByDetector:
     """Photon and detector noise of each detector in the observation of a block."""
     return camera_white(of.setup.camera, of.levels)
+
+
+def mean_white(of: ObservedBlock) -> float:
+    """White noise of photons and detectors in the observation of a block, mean over the detectors [mK^2/Hz]."""
+    return white_of_block(of).mean
 
 
 def _levels(setup: Simulation, observation: int, weather: Weather | None) -> WhiteLevels:

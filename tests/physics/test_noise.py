@@ -16,7 +16,7 @@ from surveysim.scene.noise_and_sky import Excess
 from surveysim.telescope.illumination import UNIFORM
 from surveysim.telescope.layouts import hexagon
 from surveysim.telescope.pixel_coherence import correlation_factor
-from surveysim.timestreams.low_frequency import add_excess, excess_psd, excess_variance
+from surveysim.timestreams.low_frequency import LONGEST_ROOT, add_excess, excess_psd, excess_variance
 from surveysim.timestreams.noise import add_correlated_white, add_white, draw_from_psd
 from tests import naive
 from tests.deviates import deviates
@@ -304,3 +304,21 @@ def test_excess_is_shared_as_overlap_says(rng, coherence):
     if coherence == "field":
         adjacent = [cross[0, d] for d in range(1, 7)]
         assert np.mean(adjacent) == pytest.approx(0.506, abs=5 * spread[0, 1])
+
+
+@pytest.mark.parametrize(("n", "index"), [(41, 1.0), (60, 2.0), (LONGEST_ROOT, 1.0), (LONGEST_ROOT + 25, 1.0)])
+def test_excess_of_a_scan_has_the_covariance_of_the_spectrum(rng, n, index):
+    """Drawn by the root of the covariance or by Fourier modes. Whitened by the root of the exact covariance, samples
+    are independent: the mean squares of N elements of the sample covariance of m scans scatter by sqrt(2 / N).
+    """
+    m, section = 8000, excess(spectral_index=index)
+    data = np.zeros((20, m // 20 * n), np.float32)
+    options = {"n_scans": m // 20, "sample_rate_hz": RATE, "factor": None}
+    add_excess(data, section, variance_mk2=4.52, deviates=deviates(rng), **options)
+    lag = np.abs(np.arange(n) - np.arange(n)[:, None])
+    exact = (np.fft.irfft(excess_psd(section, 4.52, n, 2 * n, RATE)) * RATE / 2)[lag]
+    white = np.linalg.solve(np.linalg.cholesky(exact), data.reshape(m, n).T.astype(float))
+    excess_of = math.sqrt(m) * (white @ white.T / m - np.eye(n))
+    for found, variance in ((excess_of[np.triu_indices(n, 1)], 1), (np.diagonal(excess_of), 2)):
+        assert np.mean(found**2) == pytest.approx(variance, rel=5 * math.sqrt(2 / len(found)))
+        assert abs(found.mean()) < 5 * math.sqrt(variance / len(found))

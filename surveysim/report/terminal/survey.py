@@ -131,9 +131,10 @@ def closing_line(content: Content) -> str:
     """Return one line on the work done and the time taken, from the content of summary.json."""
     run = content["run"]
     scans = f"{content['scans_discarded']} of {content['scans']} scans discarded{_shares(content['discarded'])}"
+    lost = f", {percent(content['samples_lost'])} of the samples lost" if "samples_lost" in content else ""
     return (
         f"{content['observations']} observations, {content['detector_samples'] / 1e6:.4g} million "
-        f"detector-samples, {scans}, {run['wall_s']:.1f} s with {run['workers']} worker(s)"
+        f"detector-samples, {scans}{lost}, {run['wall_s']:.1f} s with {run['workers']} worker(s)"
     )
 
 

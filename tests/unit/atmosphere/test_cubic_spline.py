@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import CubicSpline as Scipys
 from scipy.interpolate import PchipInterpolator
 
-from surveysim.atmosphere.cubic_spline import CubicSpline, MonotoneCubic
+from surveysim.atmosphere.cubic_spline import CubicSpline, MonotoneCubic, stack_of
 
 
 @pytest.mark.parametrize("n", [4, 5, 14, 801])
@@ -43,3 +43,12 @@ def test_the_monotone_cubic_is_that_of_scipy(n, seed):
     for y in (rng.normal(size=n), rng.exponential(size=n).cumsum(), rng.integers(0, 3, n).astype(float)):
         expected = PchipInterpolator(x, y)(q)
         np.testing.assert_allclose(MonotoneCubic(x, y)(q), expected, rtol=1e-13, atol=1e-13 * np.abs(expected).max())
+
+
+def test_members_of_a_stack_are_the_splines():
+    rng = np.random.default_rng(5)
+    knots, x, member = np.sort(rng.uniform(0, 1, 7)), rng.uniform(-0.1, 1.1, 9), np.array([2, 0, 1, 1, 0, 2, 2, 0, 1])
+    splines = [CubicSpline(knots, values) for values in rng.standard_normal((3, 7))]
+    for derivative in (0, 1):
+        expected = [splines[k](at, derivative) for k, at in zip(member, x, strict=True)]
+        np.testing.assert_array_equal(stack_of(splines)(x, derivative, member), expected)

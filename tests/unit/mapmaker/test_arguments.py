@@ -33,6 +33,8 @@ TEMPLATES = mm.TemplateOptions(1e-6, 100)
 TAPER = mm.tukey_taper(SIDE, SIDE, PIXEL, size_rad=SIDE * PIXEL, edge_fraction=0.5)
 EDGES = np.array([3000.0, 10000.0, 25000.0])
 RINGS = mm.annuli(SIDE, SIDE, PIXEL, edges_ell=EDGES, taper=TAPER)
+SKIES, HALF, USED = RNG.standard_normal((3, SIDE, SIDE)), np.ones((SIDE, SIDE // 2 + 1)), np.ones(2, bool)
+FILTER = mm.source_filter(HALF, np.ones(2), transfer=np.ones(2), mask=USED, rings=RINGS, pixel_rad=PIXEL)
 MAP = mm.bin_map(GEOMETRY, DATA, INDEX, BOUNDS, kept=KEPT)
 BLOCK = mm.StreamBlock(DATA, INDEX, BOUNDS, PLANE, 1.0)
 GLS = mm.GlsOptions(band_edges_hz=(0.0, np.inf), max_modes=1)
@@ -254,6 +256,33 @@ TABLE = [
      {"psd_cleaned": np.ones((3, 4)), "psd_reference": np.ones((3, 4)), "ell": np.ones(4)},
      {"psd_cleaned": wrong_arrays(np.ones((3, 4)), least=0), "psd_reference": wrong_arrays(np.ones((3, 4)), least=0),
       "ell": wrong_arrays(np.ones(4))}),
+    (mm.measure_amplitude_transfer,
+     {"cleaned": SKIES, "reference": SKIES, "taper": TAPER, "pixel_rad": PIXEL, "rings": RINGS},
+     {"cleaned": wrong_arrays(SKIES), "reference": [*wrong_arrays(SKIES), 0 * SKIES], "pixel_rad": wrong_pixels(),
+      "taper": [*wrong_arrays(TAPER), 0 * TAPER]}),
+    (mm.gaussian_profile, {"ell": np.ones(3), "fwhm_rad": 1e-4},
+     {"ell": [[1.0, np.nan], "ab", [1j], None], "fwhm_rad": [*wrong_numbers(above=0), 1e300]}),
+    (mm.beta_profile, {"ell": np.ones(3), "core_radius_rad": 1e-4, "beta": 1.0},
+     {"ell": [[1.0, np.nan], [0.0], "ab", [1j], None], "core_radius_rad": [*wrong_numbers(above=0), 1e300],
+      "beta": [*wrong_numbers(above=1 / 3), 1e3]}),
+    (mm.arnaud_profile, {"ell": np.ones(3), "theta_500_rad": 1e-4},
+     {"ell": [[1.0, np.nan], "ab", [1j], None], "theta_500_rad": [*wrong_numbers(above=0), 1e300]}),
+    (mm.profile_power, {"profile": np.ones_like, "edges_ell": EDGES},
+     {"edges_ell": [EDGES[::-1], EDGES[:1], [1.0, np.nan], -EDGES[::-1], "ab", None]}),
+    (mm.filter_depth, {"noise_psd": np.ones(2), "power": np.ones(2), "transmission": np.ones(2), "mask": USED},
+     {"noise_psd": [np.ones(3), np.zeros(2), np.full(2, np.nan), "ab"],
+      "power": [*wrong_arrays(np.ones(2), least=0), np.zeros(2)],
+      "transmission": wrong_arrays(np.ones(2), least=0), "mask": [np.ones(2), np.zeros(2, bool), [1, 0], None]}),
+    (mm.source_filter, {"profile": HALF, "noise_psd": np.ones(2), "transfer": np.ones(2), "mask": USED,
+                         "rings": RINGS, "pixel_rad": PIXEL},
+     {"profile": [*wrong_arrays(HALF), 0 * HALF], "noise_psd": [np.ones(3), np.zeros(2), np.full(2, np.nan), "ab"],
+      "transfer": wrong_arrays(np.ones(2)), "mask": [np.ones(3, bool), np.ones(2), np.zeros(2, bool), None],
+      "pixel_rad": wrong_pixels()}),
+    (mm.filtered_map, {"item": FILTER, "map_mk": SKIES[0], "weight": TAPER},
+     {"map_mk": [*wrong_arrays(SKIES[0]), np.ones((SIDE + 1, SIDE))],
+      "weight": wrong_arrays(TAPER, least=0)}),
+    (mm.source_amplitudes, {"item": FILTER, "map_mk": SKIES[0], "weight": TAPER, "row": [3.0], "column": [4.5]},
+     {"row": [[np.nan], [[1.0]], [1.0, 2.0], None, "1"], "column": [[np.inf], [], [1j]]}),
     (mm.flat_spectrum_psd, {"ell": np.ones(3)}, {"ell": [[np.nan], [-1.0], "ab", [1j], None, [np.inf]]}),
     (mm.flat_band_power, {"noise_psd_ukcmb2": np.ones(3), **BINS},
      {"noise_psd_ukcmb2": [np.ones(2), 0 * np.ones(3), np.full(3, np.nan), np.ones(3, complex), ["a"] * 3],

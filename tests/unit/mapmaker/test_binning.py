@@ -16,7 +16,7 @@ from mapmaker.binning import (
     write_healpix,
 )
 from mapmaker.geometry import MapGeometry, check_nside, finest_nside, plane_directions, wcs
-from mapmaker.kernels.pixels import add_sky, bin_samples, plane_pixels
+from mapmaker.kernels.pixels import add_sky, bin_samples, count_samples, plane_pixels
 from surveysim.survey.kernels import add_signed
 from tests import naive
 
@@ -72,6 +72,16 @@ def test_bin_samples(rng, kind):
     # Both sum at double precision: rounding of a few numbers of order 1.
     np.testing.assert_allclose(found - 1, total, atol=1e-14)
     assert hits.sum() == (index[:, np.r_[0:20, 50:62, 70:90]] >= 0).sum()
+
+
+def test_count_samples(rng):
+    """It adds the hits of all samples to those that are there."""
+    index, scan = binning(rng, np.float32)[1], np.array([[0, N_SAMP]])
+    hits = np.full(N_X * N_Y, 2, np.int64)
+    count_samples(index, hits)
+    expected = naive.bin_samples(np.zeros(index.shape), index, scan, [True], N_X * N_Y)[1]
+    np.testing.assert_array_equal(hits - 2, expected)
+    assert (index == -1).any() and expected.sum() == (index >= 0).sum()
 
 
 @KINDS

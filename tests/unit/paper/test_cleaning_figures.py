@@ -28,8 +28,9 @@ from surveysim.reduction.setup import prepare
 from surveysim.results.results import SurveyResult, survey_result
 from surveysim.scene.scene import load_scene
 from surveysim.survey.coadds import row_names
+from surveysim.survey.error_modes import gain
 from surveysim.survey.run import run_observations
-from surveysim.survey.scores import gain, rescore
+from surveysim.survey.scores import rescore
 from tests.scenes import write_scene
 
 WIND_RAD_S = np.array([0.01, 0.0])

@@ -57,6 +57,7 @@ def test_files(finished):
         "report.html",
         "scene.json",
         "scene.toml",
+        "scores.npz",
         "summary.json",
         *(f"tables/{name}.ecsv" for name in ("alternatives", "map_psd", "observations", "scores", "timestream_psd")),
     ]

@@ -34,7 +34,7 @@ def path(tmp_path_factory):
 @pytest.fixture(scope="module")
 def result(path):
     settings = {"observations": 8} | ACTUAL_ALONE
-    return measure_accuracy(path, settings, engine=SERIAL, reference_error=0.2, seeds=2, observations=4)
+    return measure_accuracy(path, settings, engine=SERIAL, reference_error=0.1, seeds=2, observations=4)
 
 
 def of_parameter(rows, parameter):
@@ -135,10 +135,13 @@ def test_better_look_ups_are_nearer_to_the_finest(result):
     assert rows["linear"].bias_error < 0.01 * rows["linear"].relative_error
 
 
-def test_other_draws_share_no_noise(result):
-    """Sign flips of few observations know the error of a difference badly: the largest of three steps."""
+def test_other_draws_share_less_noise(result):
+    """The layer of another step is drawn apart, all else is shared: far more than a look-up's 0.01 is left.
+
+    Sign flips of few observations know the error of a difference badly: the largest of three steps.
+    """
     rows = of_parameter(result.rows, "screen step")
-    assert max(rows[step].bias_error / rows[step].relative_error for step in ("4", "2", "1")) > 0.3
+    assert max(rows[step].bias_error / rows[step].relative_error for step in ("4", "2", "1")) > 0.1
 
 
 def test_files_hold_all_rows(result, tmp_path, capsys):

@@ -11,6 +11,7 @@ from surveysim.reduction.setup import prepare
 from surveysim.results.stages import stages_that_run
 from surveysim.runtime.errors import NotForecastableError
 from surveysim.scene.noise_and_sky import StreamSections
+from surveysim.scene.readout import ReadoutSections
 from surveysim.scene.scene import load_scene
 from surveysim.timestreams import component
 from surveysim.timestreams.component import COMPONENTS, present_components
@@ -27,7 +28,7 @@ def scene(tmp_path):
 
 def test_every_component_has_a_section_and_those_that_are_seen_come_first():
     names = [item.name for item in COMPONENTS]
-    assert sorted(names) == sorted(StreamSections.model_fields)
+    assert sorted(names) == sorted({**StreamSections.model_fields, **ReadoutSections.model_fields})
     seen = [item.through_response for item in COMPONENTS]
     assert seen == sorted(seen, reverse=True)
 
