@@ -112,7 +112,7 @@ class SweepWork:
 def compared(sweep: Sweep, points: tuple[PointResult, ...]) -> Comparison:
     """Compare points, with the same bits on any machine."""
     with threadpool_limits(1):
-        return compare_runs(points, np.random.default_rng(DRAWS_SEED), sweep.reference)
+        return compare_runs(points, np.random.default_rng(DRAWS_SEED), sweep.reference, sweep.metric)
 
 
 def forecast_single_sweep(
@@ -129,7 +129,7 @@ def forecast_single_sweep(
 
     def result_of() -> SweepResult:
         points = forecast_points(sweep, progress)
-        comparison = compare_forecasts(points, sweep.reference)
+        comparison = compare_forecasts(points, sweep.reference, sweep.metric)
         return SweepResult(sweep, points, comparison, False, perf_counter() - start, 1, SERIAL.kind, None)
 
     if out is None:

@@ -34,7 +34,7 @@ from surveysim.survey.checkpoint import NAME as CHECKPOINT
 NEW = ".surveysim.new"
 OTHERWISE = "--force replaces it, --out writes elsewhere"
 # The scene, and the tables that its keys of files name, with the suffix of the user's file.
-_SCENE = r"scene\.toml|(positions|passband|illumination|transmission|emissivity|opacity)(_\d+)?(\.[\w-]+)?"
+_SCENE = r"scene\.toml|(positions|passband|illumination|transmission|emissivity|opacity|spectrum)(_\d+)?(\.[\w-]+)?"
 # Names that any command writes: no other file is ever removed, even if the record lists it.
 _WRITTEN = re.compile(
     rf"{_SCENE}|"

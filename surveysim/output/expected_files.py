@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from typing import Any
 
+from surveysim.metrics.registry import metric_table_names
 from surveysim.output.record import Results
 from surveysim.output.scene_copy import bands_files, scene_files, sweep_files
 from surveysim.reduction.setup import Setup
@@ -18,7 +19,17 @@ from surveysim.survey.checkpoint import NAME as CHECKPOINT
 
 COMMON = ("summary.json", "scene.json", "report.html")
 SCORES = "scores.npz"
-_TABLES = ("observations", "timestream_psd", "scores", "map_psd", "alternatives", "load", "nep", "sensitivity")
+_TABLES = (
+    "observations",
+    "timestream_psd",
+    "scores",
+    "metrics",
+    "map_psd",
+    "alternatives",
+    "load",
+    "nep",
+    "sensitivity",
+)
 _FIGURES = (
     "timestream_psd",
     "map",
@@ -35,7 +46,7 @@ _PARTS = {"1": ("sites",), "2": ("photons",), "3": ("gains",)}  # parts of a tab
 def of_run(setup: Setup, figures: bool, timestreams: bool) -> Results:
     """Return the results of a run of a scene."""
     scene = setup.scene
-    names = [CHECKPOINT, *_run_names(), *_map_names(setup), *(_figure_names() if figures else ())]
+    names = [CHECKPOINT, *_run_names(scene), *_map_names(setup), *(_figure_names() if figures else ())]
     if timestreams:
         names += [f"timestreams/{number:04d}.h5" for number in range(scene.observations)]
     return Results("run", scene.name, scene_hash(scene), tuple(names), scene_files(scene), extends=survey_hash(scene))
@@ -44,12 +55,13 @@ def of_run(setup: Setup, figures: bool, timestreams: bool) -> Results:
 def of_point(setup: Setup, keep_all: bool) -> Results:
     """Return the results of a point of a sweep: those of a run, with maps and figures if all are kept."""
     scene = setup.scene
-    names = (*_run_names(), *((*_map_names(setup), *_figure_names()) if keep_all else ()))
+    names = (*_run_names(scene), *((*_map_names(setup), *_figure_names()) if keep_all else ()))
     return Results("run", scene.name, scene_hash(scene), names, scene_files(scene), extends=survey_hash(scene))
 
 
-def _run_names() -> tuple[str, ...]:
-    return (*COMMON, SCORES, *(f"tables/{name}.ecsv" for name in _TABLES))
+def _run_names(scene: Scene) -> tuple[str, ...]:
+    tables = (*_TABLES, *(metric_table_names(scene.score) if scene.score else ()))
+    return (*COMMON, SCORES, *(f"tables/{name}.ecsv" for name in tables))
 
 
 def _map_names(setup: Setup) -> tuple[str, ...]:

@@ -110,7 +110,7 @@ def write_sweep(directory: Path, first: Setup, result: SweepResult, figures: boo
             entry["directory"] = point_directory(entry["point"])
     written = [_write_table(directory / "sweep.ecsv", sweep_table(content))]
     if of_pairs:
-        written.append(_write_table(directory / "sweep_pairs.ecsv", pair_table(of_pairs)))
+        written.append(_write_table(directory / "sweep_pairs.ecsv", pair_table(of_pairs, result.sweep.metric)))
     written.append(write_text(directory / "scene.json", resolved(first.scene) + "\n"))
     drawn = partial(_of_sweep, result) if figures and result.comparison.best else None
     write_summary(directory, content, written, drawn)

@@ -2,15 +2,20 @@
 
 import re
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from surveysim.scene.fields import PositiveBandPower, TableFile, number, whole
+from surveysim.runtime.errors import InputError
+from surveysim.scene.fields import PositiveBandPower, TableOrName, number, whole
 from surveysim.scene.section import Section
+from surveysim.scene.spectrum_table import read_spectrum
 from surveysim.scene.units import shown
 
 SIGMA_KEY = "flat_band_power.sigma"  # key of the score that every scene has
+SPECTRA = ("flat", "poisson", "clustered")
 PIVOT_ELL = 3000.0  # multipole at which named spectra have their band power
 _NAME = re.compile("[a-z][a-z0-9_]{0,39}")
 _MOST_EDGES = 101
@@ -57,14 +62,11 @@ class BandPowers(Metric):
     """Kind of the metric."""
     edges: Annotated[tuple[Annotated[int, *whole(0, 10_000_000)], ...], Field(min_length=2, max_length=_MOST_EDGES)]
     """Edges of the bins in multipole: increasing multiples of `score.ell_bin` up to `score.ell_max`."""
-    spectrum: Literal["flat", "poisson", "clustered"] | None = None
-    """Fiducial spectrum: "flat" has equal band powers, "poisson" equal C_ell, "clustered" C_ell as ell^-1.2.
-    Alternative: `file`."""
+    spectrum: TableOrName
+    """Fiducial spectrum: "flat" has equal band powers, "poisson" equal C_ell, "clustered" C_ell as ell^-1.2; or an ECSV
+    table with the columns `ell` and `cl`, C_ell in CMB temperature squared."""
     band_power_ukcmb2: PositiveBandPower | None = Field(alias="band_power", default=None)
-    """Required by `spectrum`: its band power ell (ell + 1) C_ell / 2 pi at ell = 3000."""
-    file: TableFile = None
-    """Fiducial spectrum: ECSV table with the columns `ell` and `cl`, C_ell in CMB temperature squared.
-    Alternative: `spectrum`."""
+    """Band power ell (ell + 1) C_ell / 2 pi of a named spectrum at ell = 3000; it is required there."""
 
     @property
     def bins(self) -> tuple[tuple[int, int], ...]:
@@ -79,13 +81,32 @@ class BandPowers(Metric):
 
     @model_validator(mode="after")
     def _one_spectrum(self) -> Self:
-        if (self.spectrum is None) == (self.file is None):
-            raise ValueError("spectrum: exactly one of 'spectrum' and 'file' is expected")
-        if (self.spectrum is None) != (self.band_power_ukcmb2 is None):
-            raise ValueError("band_power: it is expected together with 'spectrum', and only with it")
         if any(high <= low for low, high in self.bins):
             raise ValueError(f"edges: found {shown(list(self.edges))}; increasing multipoles are expected")
+        if not isinstance(self.spectrum, Path):
+            if self.spectrum not in SPECTRA:
+                names = ", ".join(map(repr, SPECTRA))
+                raise ValueError(f"spectrum: found {shown(self.spectrum)}; {names} or the name of a file is expected")
+            if self.band_power_ukcmb2 is None:
+                raise ValueError(f"band_power: missing; spectrum {self.spectrum!r} needs it")
+            return self
+        if self.band_power_ukcmb2 is not None:
+            raise ValueError("band_power: found together with a table, which sets it; one of the two is expected")
+        ell, _ = spectrum_table(self.spectrum)
+        if ell[0] > max(self.edges[0], 1) or ell[-1] < self.edges[-1]:
+            raise ValueError(
+                f"spectrum: {self.spectrum}: found ell from {ell[0]:g} to {ell[-1]:g}; a table that covers the bins,"
+                f" {self.edges[0]} to {self.edges[-1]}, is expected"
+            )
         return self
+
+
+def spectrum_table(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Read a table of a spectrum: multipoles and band powers [uK_CMB^2]; raises ValueError, as fields do."""
+    try:
+        return read_spectrum("spectrum", path)
+    except InputError as error:
+        raise ValueError(str(error)) from None
 
 
 class LargestScale(Metric):

@@ -11,12 +11,15 @@ import pytest
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.transfer_function import TransferFunction
 from surveysim import load_sweep, run_sweep
+from surveysim.metrics.errors import Estimate
 from surveysim.reduction.data_set import DataSetKind
+from surveysim.results.metrics import MetricResult
 from surveysim.runtime.engine import SERIAL
+from surveysim.scene.metrics import SIGMA_KEY
 from surveysim.studies.sweep.comparison import compare_forecasts, compare_runs, forecast_points
 from surveysim.studies.sweep.point_store import PointResult
 from surveysim.studies.sweep.rounds import SweepLimits, run_rounds
-from surveysim.survey.error_modes import error_modes
+from surveysim.survey.error_modes import error_modes, sigma_response
 from surveysim.survey.scores import DataSetScore
 from tests.scenes import SMALL_SCENE, without_sections
 from tests.seeds import shared_expectations
@@ -185,7 +188,9 @@ def test_best_of_equal_toy_surveys_is_drawn_by_lot():
 
 
 def _point(item):
-    return PointResult(100, len(item.weights), {"actual": item}, {}, [], [], {}, [], "same", "", 0.0)
+    found = Estimate(item.band.sigma_ukcmb2, sigma_response(item))
+    metrics = {"actual": {SIGMA_KEY: MetricResult(found, found, "uK2", True, None, "")}}
+    return PointResult(100, len(item.weights), {"actual": item}, {}, [], [], {}, [], "same", "", 0.0, metrics, {})
 
 
 # ---------------------------------------------------------------- surveys of different lengths, and rounds

@@ -96,20 +96,20 @@ RUN = {
 }
 SWEEP = Caption(
     "All points",
-    "Uncertainty of a flat band power of all points, and its ratio to the reference point.",
-    "Across: the values of the first axis; a colour for each combination of the others. Left: σ(A) of the actual data "
-    "set [µK²_CMB] with Monte Carlo errors; dashes or triangles are the forecast. Right: its ratio to the reference "
-    "point. Coloured bars are paired errors, which allow for the noise and weather that points share; grey bars are "
-    "errors of independent runs. Orange diamonds: points that are not comparable with the reference, as one of the two "
-    "loses too many scans.",
-    "Look for points further than two coloured bars from 1, which differ from the reference point, and for the lowest.",
+    "Metric of all points, and its ratio to the reference point.",
+    "Across: the values of the first axis; a colour for each combination of the others. Left: the metric of the actual "
+    "data set, by default σ(A), with Monte Carlo errors; dashes or triangles are the forecast. Right: its ratio to the "
+    "reference point. Coloured bars are paired errors, which allow for the noise and weather that points share; grey "
+    "bars are errors of independent runs. Orange diamonds: points that are not comparable with the reference, as one "
+    "of the two loses too many scans.",
+    "Look for points further than two coloured bars from 1, which differ from the reference point, and for the best.",
 )
 FORECAST_SWEEP = Caption(
     "All points",
-    "Forecast uncertainty of a flat band power of all points, and its ratio to the reference point.",
-    "Across: the values of the first axis; a colour for each combination of the others. Left: σ(A) of the actual data "
-    "set [µK²_CMB] by forecast. Right: its ratio to the reference point.",
-    "Look for the lowest point, and for the curvature around it.",
+    "Forecast of the metric of all points, and its ratio to the reference point.",
+    "Across: the values of the first axis; a colour for each combination of the others. Left: the metric of the "
+    "actual data set, by default σ(A), by forecast. Right: its ratio to the reference point.",
+    "Look for the best point, and for the curvature around it.",
 )
 ACCURACY = Caption(
     "Accuracy and its cost",

@@ -8,6 +8,7 @@ from surveysim.report.terminal.layout import Terminal
 from surveysim.report.terminal.survey import print_warnings, where_line
 from surveysim.report.terminal.tables import show_table
 from surveysim.results.bands import band_table
+from surveysim.results.metric_tables import label, with_unit
 from surveysim.runtime.numbers import number, plain, plural, quoted, quoted_share
 from surveysim.runtime.table import Table
 from surveysim.studies.sweep.axes import Axis
@@ -126,14 +127,16 @@ def best_line(result: SweepResult) -> str:
     comparison = result.comparison
     labels = " or ".join(result.sweep.points[number].label for number in comparison.best)
     first = comparison.best[0]
-    sigma = f"sigma(A) = {plain(number(comparison.sigma_ukcmb2[first]))}"
+    quantity, value, error = comparison.quantity, comparison.value[first], comparison.error[first]
+    text = plain(quoted(value, error) if result.simulated else number(value))
+    found = f"{label(quantity.key)} = {with_unit(text, quantity.unit)}"
     if not result.simulated:
-        return f"best: {labels}, {sigma} uK_CMB^2 by forecast"
-    sigma = f"sigma(A) = {plain(quoted(comparison.sigma_ukcmb2[first], comparison.error_ukcmb2[first]))} uK_CMB^2"
+        return f"best: {labels}, {found} by forecast"
     if reason := result.withheld(first):
-        return f"lowest: {labels}, {sigma}; the probability that it is the best is withheld: {reason}"
+        side = "lowest" if quantity.lower_is_better else "highest"
+        return f"{side}: {labels}, {found}; the probability that it is the best is withheld: {reason}"
     each, chance = "each " * (len(comparison.best) > 1), chance_text(comparison.best_probability[first])
-    return f"best{_among(result)}: {labels}, {sigma}, {each}with confidence {chance}"
+    return f"best{_among(result)}: {labels}, {found}, {each}with confidence {chance}"
 
 
 def _among(result: SweepResult) -> str:

@@ -113,6 +113,8 @@ def point_result(result: SurveyResult) -> PointResult:
         _skies(setup),
         result.unscored,
         result.wall_s,
+        result.metrics,
+        {},
     )
 
 

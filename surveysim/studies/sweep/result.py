@@ -124,7 +124,7 @@ class SweepResult:
 
 def pairs(result: SweepResult) -> list[Pair]:
     """Pair each point with a score with every one before it; no pairs for more than `MOST_PAIRED` such points."""
-    sigma = result.comparison.sigma_ukcmb2
+    sigma = result.comparison.value
     scored = [int(number) for number in np.flatnonzero(np.isfinite(sigma))]
     if not result.simulated or len(scored) > MOST_PAIRED:
         return []
@@ -133,7 +133,7 @@ def pairs(result: SweepResult) -> list[Pair]:
 
 def _pair(result: SweepResult, point: int, other: int) -> Pair:
     comparison = result.comparison
-    sigma, error, modes = comparison.sigma_ukcmb2, comparison.error_ukcmb2, comparison.modes
+    sigma, error, modes = comparison.value, comparison.error, comparison.modes
     ratio = float(sigma[point] / sigma[other])
     paired = ratio * float(np.linalg.norm(modes[point] - modes[other]))
     apart = ratio * float(np.hypot(error[point] / sigma[point], error[other] / sigma[other]))
