@@ -6,7 +6,7 @@ import typer
 from typer.core import TyperArgument, TyperCommand
 
 from surveysim import __version__
-from surveysim.cli import runs, scenes, studies
+from surveysim.cli import compare, runs, scenes, studies
 from surveysim.runtime.printable import say
 
 app = typer.Typer(
@@ -19,6 +19,7 @@ COMMANDS = (
     runs.run,
     runs.forecast,
     studies.accuracy,
+    compare.compare,
     runs.plan,
     studies.paper,
     scenes.report,

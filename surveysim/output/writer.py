@@ -29,6 +29,9 @@ from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.table import Table
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import resolved, scene_hash
+from surveysim.studies.compare.comparison import RunComparison
+from surveysim.studies.compare.summary import comparison_summary
+from surveysim.studies.compare.tables import score_rows
 from surveysim.studies.sweep.band_results import MultiBandSweepResult, band_sweep_summary
 from surveysim.studies.sweep.point_run import point_result
 from surveysim.studies.sweep.point_store import save_point
@@ -120,6 +123,20 @@ def _of_sweep(result: SweepResult) -> Drawings:
     from surveysim.report.figures.sweep import draw_sweep
 
     return {"sweep": lambda path: draw_sweep(path, result)}
+
+
+def write_comparison(directory: Path, result: RunComparison, figures: bool) -> None:
+    """Write table, figures, summary and report of a comparison of runs below `directory`."""
+    content = comparison_summary(result)
+    written = _write_table(directory / "tables" / "compare.ecsv", score_rows(content["compared"]))
+    drawn = partial(_of_comparison, result) if figures else None
+    write_summary(directory, content | made_by() | {"run": {"date": now()}}, [written], drawn)
+
+
+def _of_comparison(result: RunComparison) -> Drawings:
+    from surveysim.report.figures.compare import drawings
+
+    return drawings(result)
 
 
 def write_accuracy(directory: Path, result: "AccuracyResult", figures: bool) -> None:
