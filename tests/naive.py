@@ -469,6 +469,31 @@ def low_pass(data, per_scan, decay, taps):
     return found
 
 
+def add_derivative(data, per_scan, lead):
+    """Each scan plus a multiple of its derivative from five samples; the ends continue."""
+    found = np.array(data, float)
+    for d in range(len(data)):
+        for start in range(0, data.shape[1], per_scan):
+            x = np.pad(np.array(data[d, start : start + per_scan], float), 2, mode="edge")
+            for n in range(per_scan):
+                slope = np.dot([1, -8, 0, 8, -1], x[n : n + 5]) / 12
+                found[d, start + n] = x[n + 2] + lead[d] * slope
+    return found
+
+
+def crosstalk_matrix(n_det, groups, neighbour, group):
+    """Matrix of the crosstalk of readout groups, lists of detectors in the order of readout."""
+    matrix = np.zeros((n_det, n_det))
+    for i in range(n_det):
+        matrix[i, i] = 1.0
+        for members in groups:
+            for j in members:
+                if i in members and j != i:
+                    near = abs(members.index(i) - members.index(j)) == 1
+                    matrix[i, j] = group + (neighbour if near else 0.0)
+    return matrix
+
+
 def fill_flagged(data, scan_bounds, flagged):
     """Gaps of each scan: the common signal, from mean changes, and a line from end to end of the gap."""
     filled = np.array(data, float)

@@ -6,7 +6,9 @@ from typing import Any
 
 from surveysim.api.band_sweeps import forecast_band_sweep, plan_band_sweep, run_band_sweep
 from surveysim.api.bands import forecast_bands, plan_bands, run_bands
+from surveysim.api.budgets import budget
 from surveysim.api.comparisons import compare
+from surveysim.api.optimum import optimise
 from surveysim.api.surveys import PROCESSES, forecast_survey, plan_survey, run_survey, simulate_observation
 from surveysim.api.sweeps import forecast_single_sweep, plan_single_sweep, run_single_sweep
 from surveysim.forecasting.forecast import Forecast
@@ -25,6 +27,7 @@ from surveysim.studies.sweep.rounds import CONFIDENCE
 from surveysim.survey.coadd_tree import CoAddTree
 
 __all__ = [
+    "budget",
     "compare",
     "forecast",
     "forecast_band_sweep",
@@ -32,6 +35,7 @@ __all__ = [
     "forecast_single_sweep",
     "forecast_survey",
     "forecast_sweep",
+    "optimise",
     "plan",
     "plan_band_sweep",
     "plan_bands",

@@ -20,9 +20,14 @@ ClosedForm = Callable[[NoiseBins], Noise]
 
 
 def independent_white(of: NoiseBins) -> Noise:
-    """White noise that detectors do not share."""
+    """White noise that detectors do not share: photon noise, and that of detectors, which has another filter."""
     bins = of.white(of.independent)
-    return lambda conditions: np.outer(conditions.white, bins)
+    if of.filters is None:
+        return lambda conditions: np.outer(conditions.white, bins)
+    of_detectors = of.white(of.independent, "output")
+    return lambda conditions: (
+        np.outer(conditions.white - conditions.detector, bins) + np.outer(conditions.detector, of_detectors)
+    )
 
 
 def shared_white(of: NoiseBins) -> Noise:
@@ -43,13 +48,15 @@ def low_frequency(of: NoiseBins) -> Noise:
     step = rate / (2 * n_samp)
     positive = step * np.arange(1, n_samp + 1)
     bins = of.low_frequency(np.concatenate([-positive, positive]), np.tile(psd * step, 2), excess)
-    return lambda conditions: np.outer(conditions.excess, bins)
+    return lambda conditions: np.outer(conditions.excess * conditions.gain**2, bins)
 
 
 def layer(of: NoiseBins) -> Noise:
     """Layer of the atmosphere."""
     bins = of.layer()
-    return lambda conditions: conditions.layer[:, None] * bins(conditions.motion, conditions.sine)
+    return lambda conditions: (
+        (conditions.layer * conditions.gain**2)[:, None] * bins(conditions.motion, conditions.sine)
+    )
 
 
 def readout_noise(of: NoiseBins) -> Noise:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 _DEGREES = 8  # Legendre polynomials: a Kolmogorov layer has 1e-3 of its power in higher degrees
+_SMALLEST = 1e-100  # argument of Bessel functions
 _LEAST_SHARE = 0.03  # modes that fewer scans lose are omitted, some 5 % in all
 
 
@@ -61,11 +62,21 @@ NO_FITTED_MODES = FittedModes(np.zeros(0), np.zeros((0, 1)))
 
 def _wave_components(frequency_hz: np.ndarray, duration_s: float, n_degree: int) -> np.ndarray:
     """Project cosines (sines) on the normalised Legendre polynomials of even (odd) degree, (n_f, N) [s^1/2]."""
+    degree, half_phase = np.arange(1, n_degree + 1), np.pi * np.asarray(frequency_hz) * duration_s
+    sign = (-1.0) ** (degree // 2) * np.where(degree % 2, np.sign(half_phase)[:, None], 1.0)
+    return sign * np.sqrt((2 * degree + 1) * duration_s) * _bessel(n_degree, np.abs(half_phase)).T
+
+
+def _bessel(most: int, x: np.ndarray) -> np.ndarray:
+    """Spherical Bessel functions (most, n) of degree 1 to `most` at x >= 0 (n,), by recurrence from the highest."""
     from scipy.special import spherical_jn
 
-    degree, half_phase = np.arange(1, n_degree + 1), np.pi * np.asarray(frequency_hz)[:, None] * duration_s
-    sign = (-1.0) ** (degree // 2) * np.where(degree % 2, np.sign(half_phase), 1.0)
-    return sign * np.sqrt((2 * degree + 1) * duration_s) * spherical_jn(degree, np.abs(half_phase))
+    found = np.empty((most + 1, len(x)))
+    found[most], found[most - 1] = spherical_jn(most, x), spherical_jn(most - 1, x)
+    positive = np.maximum(x, _SMALLEST)  # below it all are 0
+    for n in range(most - 1, 0, -1):
+        found[n - 1] = (2 * n + 1) / positive * found[n] - found[n + 1]
+    return found[1:]
 
 
 def template_modes(frequency_hz: np.ndarray, power: np.ndarray, duration_s: float) -> FittedModes:

@@ -259,14 +259,28 @@ def _slope(screen: Screen, alpha: float) -> float:
     return float(np.trapezoid(power(screen, below) * below**4, np.log(below)))
 
 
-def layer_gain(array: ProjectedArray, response: np.ndarray, layer: LayerWaves) -> np.ndarray:
-    """Fraction of each wavevector's power that enters each mode, before the apodization: (n_mode, n_a)."""
+def layer_gain(
+    array: ProjectedArray, response: np.ndarray, layer: LayerWaves, gain_variance: float = 0.0
+) -> np.ndarray:
+    """Fraction of each wavevector's power that enters each mode, before the apodization: (n_mode, n_a).
+
+    Gains of the detectors with independent errors of some variance add independent noise with the layer's spectrum.
+    """
     seen = array.phases(2 * np.pi * layer.alpha) * array.responsivity[:, None]
     amplitude = response.conj().T @ seen
-    return (amplitude.real**2 + amplitude.imag**2) / len(array.place)
+    gain = (amplitude.real**2 + amplitude.imag**2) / len(array.place)
+    if gain_variance:
+        gain += gain_variance * matrix_power(response * array.responsivity[:, None], None)[:, None]
+    return gain
 
 
-def layer_stream_gain(array: ProjectedArray, layer: LayerWaves) -> np.ndarray:
-    """Fraction of each wavevector's power in the mean PSD of the cleaned and weighted streams, (n_a,)."""
+def layer_stream_gain(array: ProjectedArray, layer: LayerWaves, gain_variance: float = 0.0) -> np.ndarray:
+    """Fraction of each wavevector's power in the mean PSD of the cleaned and weighted streams, (n_a,).
+
+    Errors of the gains enter as in `layer_gain`.
+    """
     left = array.cleaned(array.phases(2 * np.pi * layer.alpha) * array.responsivity[:, None]) * array.weight[:, None]
-    return np.mean(left.real**2 + left.imag**2, axis=0)
+    gain = np.mean(left.real**2 + left.imag**2, axis=0)
+    if gain_variance:
+        gain += gain_variance * stream_power(array, NoiseCorrelation(None, array.responsivity))
+    return gain

@@ -21,6 +21,7 @@ from surveysim.forecasting.mode_response import (
     stream_power,
 )
 from surveysim.forecasting.observing_conditions import Correlation, NoiseCorrelations, ObservingConditions
+from surveysim.forecasting.response_filters import Origin, StreamFilters
 from surveysim.forecasting.scan_apodization import ScanApodization, frequency_nodes, hann_apodization, scan_apodization
 from surveysim.scene.analysis import Score
 from surveysim.scene.scene import Scene
@@ -45,7 +46,11 @@ class ScanFrequencies:
     @cached_property
     def white(self) -> np.ndarray:
         """Sum of the leakage of white noise of unit PSD into each mode."""
-        return self.apodization.sums(self.weight_hz[None], self.nodes_hz, self.at_hz)
+        return self.filtered_white(np.ones(len(self.nodes_hz)))
+
+    def filtered_white(self, power: np.ndarray) -> np.ndarray:
+        """Sum of the leakage of noise of a PSD (n,) at the nodes into each mode."""
+        return self.apodization.sums((self.weight_hz * power)[None], self.nodes_hz, self.at_hz)
 
 
 def scan_frequencies(scans: Scans, score: Score, ell: np.ndarray, fitted_modes: FittedModes) -> ScanFrequencies:
@@ -79,6 +84,10 @@ class NoiseBins(ABC):
         Correlation of white noise that detectors do not share: diagonal; None where all detectors are alike.
     camera, rows
         Camera, and the pipeline's detectors.
+    filters
+        Filters of the streams; None without time constants.
+    gain_variance
+        Variance of the gains about those that cleaning takes, independent between detectors.
     """
 
     scene: Scene
@@ -89,6 +98,12 @@ class NoiseBins(ABC):
     camera: CameraSetup
     rows: np.ndarray | slice
     independent: Correlation = None
+    filters: StreamFilters | None = None
+    gain_variance: float = 0.0
+
+    def passed(self, frequency_hz: np.ndarray, origin: Origin) -> np.ndarray:
+        """Power (n,) that the filters leave of noise at some frequencies; 1 without filters."""
+        return np.ones(len(frequency_hz)) if self.filters is None else self.filters.power(frequency_hz, origin)
 
     @property
     def scans(self) -> Scans:
@@ -102,8 +117,8 @@ class NoiseBins(ABC):
         return layer_waves(screen(self.scene), longest, sine_nodes(self.conditions).tolist())
 
     @abstractmethod
-    def white(self, correlation: Correlation) -> np.ndarray:
-        """Bins (n_bin,) of white noise of unit PSD, added after the response of the detectors."""
+    def white(self, correlation: Correlation, origin: Origin = "light") -> np.ndarray:
+        """Bins (n_bin,) of white noise of unit PSD, seen by the detectors or added at their output."""
 
     @abstractmethod
     def low_frequency(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
@@ -145,15 +160,30 @@ class MapBins(NoiseBins):
         means = [self.frequencies.modes.mean(power * leakage) for power in powers]
         return np.mean(means, axis=0) * self.scans.sample_rate_hz / 2
 
-    def white(self, correlation: Correlation) -> np.ndarray:
-        """Bins (n_bin,) of white noise of unit PSD, added after the response of the detectors.
+    def white(self, correlation: Correlation, origin: Origin = "light") -> np.ndarray:
+        """Bins (n_bin,) of white noise of unit PSD, seen by the detectors or added at their output."""
+        leakage = scattering = self.frequencies.white
+        if self.filters is not None:
+            power, weight = self.passed(self.frequencies.nodes_hz, origin), self.frequencies.weight_hz
+            leakage = self.frequencies.filtered_white(power)
+            # Across the scan pixels alias noise of the same frequency, along it of all others.
+            scattering = (leakage + scattering * np.average(power, weights=weight)) / 2
+        return self._at_output(leakage, scattering, correlation)
 
-        Pixels attenuate modes, and alias the lost noise over all modes, at the white level of a stream. Templates of
-        few detectors leave much less than that in modes that are longer than the array.
+    def readout(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
+        """Bins (n_bin,) of noise in lines (n,), positive and negative, added after the response of the detectors."""
+        variance = variance * self.passed(at_hz, "output")
+        leakage = self.frequencies.apodization.sums(variance[None], at_hz, self.frequencies.at_hz)
+        return self._at_output(leakage, leakage, correlation)
+
+    def _at_output(self, leakage: np.ndarray, scattering: np.ndarray, correlation: Correlation) -> np.ndarray:
+        """Bins (n_bin,) of noise after the response of the detectors, with its leakage (n_mode,) into the modes.
+
+        Pixels attenuate modes, and alias the lost noise over all modes, at the level of a stream, `scattering`.
+        Templates of few detectors leave much less than that in modes that are longer than the array.
         """
-        leakage = self.frequencies.white
         seen = self._mean([matrix_power(response, correlation) for response in self.responses], leakage)
-        scattered = self.frequencies.modes.mean(leakage) * self.scans.sample_rate_hz / 2 * (1 - self.pixel)
+        scattered = self.frequencies.modes.mean(scattering) * self.scans.sample_rate_hz / 2 * (1 - self.pixel)
         return seen * self.pixel + stream_power(self.arrays[0], correlation) * scattered
 
     def low_frequency(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
@@ -161,20 +191,10 @@ class MapBins(NoiseBins):
 
         It is aliased across the scan, among modes of one frequency: independent noise is unchanged.
         """
-        pairs = zip(self.arrays, self.responses, strict=True)
-        alone = [matrix_power(response * array.responsivity[:, None], None) for array, response in pairs]
-        return self._lines(at_hz, variance, alone, correlation)
-
-    def readout(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
-        """Bins (n_bin,) of noise in lines (n,), positive and negative, added after the response of the detectors."""
-        alone = [matrix_power(response, None) for response in self.responses]
-        return self._lines(at_hz, variance, alone, correlation)
-
-    def _lines(
-        self, at_hz: np.ndarray, variance: np.ndarray, alone: list[np.ndarray], correlation: Correlation
-    ) -> np.ndarray:
-        """Bins (n_bin,) of noise in lines (n,), with the powers of the same noise of independent detectors."""
+        variance = variance * self.passed(at_hz, "light")
         leakage = self.frequencies.apodization.sums(variance[None], at_hz, self.frequencies.at_hz)
+        pairs = list(zip(self.arrays, self.responses, strict=True))
+        alone = [matrix_power(response * array.responsivity[:, None], None) for array, response in pairs]
         own = self._mean(alone, leakage)
         shared = self._mean([matrix_power(response, correlation) for response in self.responses], leakage)
         return own + (shared - own) * self.pixel
@@ -182,12 +202,14 @@ class MapBins(NoiseBins):
     def layer(self) -> LayerNoise:
         """Bins of a layer of unit amplitude, as a function of its motion."""
         waves, spectrum = self.layer_waves, self.frequencies
-        gains = [layer_gain(*pair, waves) for pair in zip(self.arrays, self.responses, strict=True)]
+        pairs = list(zip(self.arrays, self.responses, strict=True))
+        gains = [layer_gain(*pair, waves, self.gain_variance) for pair in pairs]
         gain = np.mean(gains, axis=0)
 
         def noise(motion: complex) -> list[np.ndarray]:
             along = stream_frequencies(waves, motion)
-            sums = spectrum.apodization.power_sums(gain, waves.power, along, spectrum.at_hz)
+            power = waves.power * self.passed(along, "light")
+            sums = spectrum.apodization.power_sums(gain, power, along, spectrum.at_hz)
             return [spectrum.modes.mean(item) * self.scans.sample_rate_hz for item in sums]
 
         table = interpolate_motions(self.conditions, self.scans.speed_rad_s, noise)
@@ -212,17 +234,18 @@ class NoiseOnlyBins(NoiseBins):
     hann: ScanApodization
     in_bins: Callable[[np.ndarray], np.ndarray]
 
-    def white(self, correlation: Correlation) -> np.ndarray:
-        """Bins (n_bin,) of white noise of unit PSD, added after the response of the detectors."""
-        return self._streams(self.frequencies.nodes_hz, self.frequencies.weight_hz, correlation)
+    def white(self, correlation: Correlation, origin: Origin = "light") -> np.ndarray:
+        """Bins (n_bin,) of white noise of unit PSD, seen by the detectors or added at their output."""
+        nodes = self.frequencies.nodes_hz
+        return self._streams(nodes, self.frequencies.weight_hz * self.passed(nodes, origin), correlation)
 
     def low_frequency(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
         """Bins (n_bin,) of noise in lines (n,), positive and negative, that passes the response of the detectors."""
-        return self._streams(at_hz, variance, correlation)
+        return self._streams(at_hz, variance * self.passed(at_hz, "light"), correlation)
 
     def readout(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
         """Bins (n_bin,) of noise in lines (n,), positive and negative, added after the response of the detectors."""
-        return self._streams(at_hz, variance, correlation)
+        return self._streams(at_hz, variance * self.passed(at_hz, "output"), correlation)
 
     def _streams(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
         # The power of the cleaned streams does not depend on the array's angle.
@@ -232,11 +255,12 @@ class NoiseOnlyBins(NoiseBins):
     def layer(self) -> LayerNoise:
         """Bins of a layer of unit amplitude, as a function of its motion."""
         waves = self.layer_waves
-        gain = np.mean([layer_stream_gain(array, waves) for array in self.arrays], axis=0)
+        gain = np.mean([layer_stream_gain(array, waves, self.gain_variance) for array in self.arrays], axis=0)
 
         def noise(motion: complex) -> list[np.ndarray]:
             along = stream_frequencies(waves, motion)
-            return [self.in_bins(psd) for psd in self.hann.power_sums(gain[None], waves.power, along, self.lines_hz)]
+            power = waves.power * self.passed(along, "light")
+            return [self.in_bins(psd) for psd in self.hann.power_sums(gain[None], power, along, self.lines_hz)]
 
         return interpolate_motions(self.conditions, self.scans.speed_rad_s, noise)
 
@@ -269,6 +293,8 @@ def noise_only_bins(of: MapBins, name: str, white_above_hz: float) -> NoiseOnlyB
         camera=of.camera,
         rows=of.rows,
         independent=of.independent,
+        filters=of.filters,
+        gain_variance=of.gain_variance,
         lines_hz=lines,
         hann=hann,
         in_bins=in_bins,

@@ -34,11 +34,16 @@ from surveysim.forecasting.observing_conditions import (
     removed_modes,
     white_shapes,
 )
+from surveysim.forecasting.response_filters import gain_variance, stream_filters
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.scored_region import left_signal
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InsufficientDataError, NotForecastableError
 from surveysim.runtime.once import keep_last
+from surveysim.scene.scene import Scene
+from surveysim.telescope.pointing_errors import smearing_variance
+from surveysim.timestreams.component import present_components
+from surveysim.timestreams.crosstalk import CrosstalkMatrix
 
 PATTERNS = ("raster",)  # scan patterns with a closed form: straight scans along RA and Dec in turn
 _ANGLES = 3  # between array and scan that represent all observations
@@ -104,8 +109,14 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
         spectrum = scan_frequencies(setup.observing.scans, scene.score, region.rings.ell, fitted)
         n_det = len(arrays[0].place)
         phases = [array.phases(spectrum.modes.wave.ravel()) for array in arrays]
-        responses = [array.respond(item) for array, item in zip(arrays, phases, strict=True)]
-        transmission = _transmission(scene.observations, spectrum, arrays, phases=phases, responses=responses)
+        responses = [
+            _crosstalked(setup, pipeline, array.respond(item)) for array, item in zip(arrays, phases, strict=True)
+        ]
+        filters = stream_filters(setup, pipeline)
+        if filters is not None:
+            phases = [item * filters.signal(spectrum.at_hz) for item in phases]
+        transmission = _transmission(scene, spectrum, arrays, phases=phases, responses=responses)
+        transmission = transmission * conditions.gain.mean() ** 2
         signal = left_signal(setup.analysis.beams, setup.analysis.geometry, setup.sky.geometry, region, transmission)
         bins = MapBins(
             scene=scene,
@@ -116,6 +127,8 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
             camera=setup.camera,
             rows=pipeline.rows,
             independent=independent_noise(shapes, pipeline),
+            filters=filters,
+            gain_variance=gain_variance(setup, pipeline, conditions),
             responses=responses,
             pixel=pixel_window(region.rings.ell, pixel_rad),
         )
@@ -128,8 +141,8 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
 
 def _closed_forms(bins: NoiseBins) -> dict[ClosedForm, Noise]:
     """Noise of each term of the components that the scene has a section for."""
-    there = [terms for name, terms in CLOSED_FORMS.items() if getattr(bins.scene, name)]
-    return {term: term(bins) for terms in there for term in terms}
+    present = {item.name for item in present_components(bins.scene)}
+    return {term: term(bins) for name, terms in CLOSED_FORMS.items() if name in present for term in terms}
 
 
 def is_projection(pipeline: CleaningPipeline) -> bool:
@@ -153,28 +166,41 @@ def _arrays(setup: Setup, pipeline: CleaningPipeline, conditions: ObservingCondi
         raise NotForecastableError(f"cleaning: {error}") from None
 
 
+def _crosstalked(setup: Setup, pipeline: CleaningPipeline, response: np.ndarray) -> np.ndarray:
+    """Turn an array response (n_det, n_mode) into that to streams before crosstalk, whose matrix is symmetric.
+
+    Crosstalk from detectors that a pipeline leaves out is neglected, with that between those that it takes.
+    """
+    section = setup.scene.crosstalk
+    if section is None or pipeline.detectors is not None:
+        return response
+    return CrosstalkMatrix(section, setup.camera.readout_groups).times(response)
+
+
 def _transmission(
-    n_obs: int,
+    scene: Scene,
     spectrum: ScanFrequencies,
     arrays: list[ProjectedArray],
     *,
     phases: list[np.ndarray],
     responses: list[np.ndarray],
 ) -> np.ndarray:
-    """Transfer function (n_bin,) of scans and cleaning for the co-added map.
+    """Transfer function (n_bin,) of pointing errors, response, scans and cleaning for the co-added map.
 
+    `phases` of the detectors include the filters of their time constants.
     Amplitudes of all observations are averaged before they are squared: scans along one direction keep modes that
     scans along the other lose.
     """
-    modes = spectrum.modes
+    modes, n_obs = spectrum.modes, scene.observations
     kept = [
         np.einsum("ij,ij->j", response.conj(), phase * array.responsivity[:, None])
         / (array.responsivity @ array.weight)
         for array, phase, response in zip(arrays, phases, responses, strict=True)
     ]
+    smeared = np.exp(-smearing_variance(scene.pointing_errors) / 2 * np.abs(modes.wave) ** 2)
     amplitude = (np.mean(kept, axis=0) * spectrum.apodization.signal_amplitude(spectrum.at_hz)).reshape(
         modes.wave.shape
-    )
+    ) * smeared
     across = amplitude[:, modes.turned]
     half = len(modes.share) // 2
     across[:, :half] = across[:, :half].conj()

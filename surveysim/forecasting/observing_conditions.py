@@ -27,10 +27,12 @@ from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.atmosphere import Atmosphere
 from surveysim.telescope.lattice_noise import LatticePixels, NoiseCorrelation, WaferPixels
 from surveysim.telescope.noise_levels import white_levels
+from surveysim.telescope.optics import site_load_k
 from surveysim.telescope.pixel_coherence import MOST_DENSE, DensePixels
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.low_frequency import excess_variance, excess_variances
 from surveysim.timestreams.observed_block import observation_levels, observation_weather
+from surveysim.timestreams.responsivity import load_losses
 from surveysim.timestreams.shared_parts import screen
 from surveysim.timestreams.simulation import (
     CameraSetup,
@@ -60,6 +62,8 @@ class ObservingConditions:
     ----------
     white, shared : (n_draw,)
         PSDs of independent and of shared photon and detector noise [mK^2/Hz].
+    detector : (n_draw,)
+        PSD of the detector noise, which is part of `white` [mK^2/Hz].
     stop_share : (n_draw,)
         The stop's part of the light that detectors share.
     excess : (n_draw,)
@@ -72,16 +76,23 @@ class ObservingConditions:
         Position angle of the array from the scan direction [rad].
     motion : (n_draw, 2)
         Complex velocity of forward and backward scans against the layer [rad/s].
+    load_k : (n_draw,)
+        Load beyond that at calibration, by the elevation.
+    gain : (n_draw,)
+        Mean responsivity of the detectors at that load.
     """
 
     white: np.ndarray
     shared: np.ndarray
+    detector: np.ndarray
     stop_share: np.ndarray
     excess: np.ndarray
     layer: np.ndarray
     sine: np.ndarray
     angle: np.ndarray
     motion: np.ndarray
+    load_k: np.ndarray
+    gain: np.ndarray
 
 
 class _ObservationGeometry(NamedTuple):
@@ -169,7 +180,8 @@ def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingCondit
     """Compute the observing conditions of some draws."""
     numbers, weather = zip(*draws, strict=True)
     slant, elevation, parallactic, array_angle, turn = _geometry(setup.observing, np.array(numbers))
-    unshared, shared, stop = _white_noise(setup, elevation, weather)
+    unshared, shared, detector, stop = _white_noise(setup, elevation, weather)
+    load_k = _load_changes(setup, elevation, weather)
     b2, layer, wind = np.zeros(len(weather)), np.zeros(len(weather)), np.zeros(len(weather), complex)
     if setup.scene.atmosphere is not None:
         b2 = np.array([item.b2 for item in weather])
@@ -181,6 +193,7 @@ def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingCondit
     return ObservingConditions(
         white=unshared,
         shared=shared,
+        detector=detector,
         stop_share=stop,
         excess=_excess(setup, b2),
         layer=layer,
@@ -188,7 +201,26 @@ def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingCondit
         angle=array_angle + turn,
         # A backward scan is a forward scan in a frame rotated by half a turn.
         motion=np.stack([speed - wind, speed + wind], axis=1),
+        load_k=load_k,
+        gain=_gains(setup, load_k),
     )
+
+
+def _load_changes(setup: Setup, elevation_rad: np.ndarray, weather: Sequence[Weather | None]) -> np.ndarray:
+    """Load (n_draw,) [K] of the site's air beyond that at calibration; 0 where each observation is calibrated."""
+    section, water = setup.scene.responsivity_drift, setup.air.water
+    if section is None or section.calibration_elevation_rad is None or water is None:
+        return np.zeros(len(weather))
+    places = np.column_stack([elevation_rad, np.full(len(weather), section.calibration_elevation_rad)])
+    loads = [site_load_k(water.opacity, item.pwv_mm, pair) for item, pair in zip(weather, places, strict=True)]
+    return np.array(loads) @ [1, -1]
+
+
+def _gains(setup: Setup, load_k: np.ndarray) -> np.ndarray:
+    """Mean responsivities (n_draw,) at some loads."""
+    if setup.scene.responsivity_drift is None:
+        return np.ones(len(load_k))
+    return 1 - load_losses(setup.scene, setup.camera.n_det).mean() * load_k
 
 
 def _excess(setup: Setup, b2: np.ndarray) -> np.ndarray:
@@ -202,22 +234,24 @@ def _excess(setup: Setup, b2: np.ndarray) -> np.ndarray:
 
 
 def _white_noise(setup: Setup, elevation_rad: np.ndarray, weather: Sequence[Weather | None]) -> np.ndarray:
-    """White noise of independent and of shared origin [mK^2/Hz], and the stop's part, (3, n_draw)."""
+    """White noise of independent and shared origin, and of detectors [mK^2/Hz], and the stop's part, (4, n_draw)."""
     if not setup.scene.given_by_power:  # the same in all observations
         return np.repeat([_white_of(setup, np.nan, np.nan)], len(weather), axis=0).T
     pwv = [np.nan if item is None else item.pwv_mm for item in weather]
     return np.array([_white_of(setup, *item) for item in zip(pwv, elevation_rad.tolist(), strict=True)]).T
 
 
-def _white_of(setup: Setup, pwv_mm: float, elevation_rad: float) -> tuple[float, float, float]:
+def _white_of(setup: Setup, pwv_mm: float, elevation_rad: float) -> tuple[float, float, float, float]:
     water = setup.air.water
     white = white_levels(setup.scene, water.opacity if water else None, pwv_mm, elevation_rad)
     shared = white.photon_mk2_hz * white.shared
-    unshared = white.photon_mk2_hz - shared + white.detector_mk2_hz
+    detector = white.detector_mk2_hz
+    unshared = white.photon_mk2_hz - shared + detector
     if setup.camera.properties.white_differs:
         each = camera_white(setup.camera, white)
         shared, unshared = float(each.shared.mean()), float((each.alone + each.detector).mean())
-    return unshared, shared, white.stop_share
+        detector = float(each.detector.mean())
+    return unshared, shared, detector, white.stop_share
 
 
 def _geometry(observing: ObservingSetup, numbers: np.ndarray) -> _ObservationGeometry:
@@ -303,7 +337,7 @@ def removed_modes(
     fits = {"scan": 1.0, "observation": 1 / observing.scans.n_scans}
     # PCA fits a mode to each scan, even with known responsivities.
     share = fits["scan"] if pipeline.uses("pca") else fits.get(observing.scene.cleaning.responsivities, 0.0)
-    if observing.scene.atmosphere is None or not len(array.basis) or not share:
+    if not observing.scene.turbulent or not len(array.basis) or not share:
         return NO_FITTED_MODES
     seconds = samples_per_scan(observing.scans) / observing.scans.sample_rate_hz
     motion = np.median(np.abs(levels.motion))

@@ -14,9 +14,13 @@ from surveysim.reduction.setup import Setup
 from surveysim.scene.observing import Scan
 from surveysim.scene.scene import Scene
 from surveysim.survey.discarded_scans import MOST_DISCARDED
+from surveysim.timestreams.component import loses_samples
+from surveysim.timestreams.crosstalk import CrosstalkMatrix
+from surveysim.timestreams.expected_losses import sampled_share
 
 LARGE = 0.1  # relative size above which an effect is flagged
 MOST_TEMPLATES = 0.25  # templates a detector above which they are flagged
+MOST_LOST = 0.3  # fraction of lost samples above which they are flagged
 MOST_UNEVEN = 0.25  # excess noise above which uneven coverage is flagged
 _RESOLUTIONS = 3.0  # of `resolution_ell`: lower end of compared multipoles
 _BEAM_LEFT = 0.03  # power in the beam: upper end of compared multipoles
@@ -124,7 +128,7 @@ def neglected_effects(setup: Setup, inputs: EffectInputs) -> tuple[NeglectedEffe
 def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEffect]:
     if inputs.pipeline.takes_responsivities:
         yield _discarded(inputs.kept)
-    if setup.scene.atmosphere is not None:
+    if setup.scene.turbulent:
         yield _repeated_layer(setup.scene.scan, setup.camera.radius_rad, inputs)
         if inputs.pipeline.steps != ("none",):
             yield _stripes(inputs)
@@ -133,8 +137,10 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
                 f"Cleaning {_APPROXIMATE[name]} is approximated by average subtraction, with an unknown difference."
             )
             yield NeglectedEffect("cleaning", None, sentence, True)
-    if setup.camera.properties.time_constant_s is not None:
-        yield _time_constants(setup, inputs.pipeline, inputs.share)
+    if setup.scene.crosstalk is not None and inputs.pipeline.detectors is not None:
+        yield _crosstalk(setup, inputs.pipeline)
+    if loses_samples(setup.scene):
+        yield _lost_samples(setup.scene, inputs)
     if templates := len(PROJECTIONS[inputs.pipeline.label]):
         yield _few_detectors(templates, inputs.n_det)
     yield _uneven_coverage(setup.analysis.region, inputs.hits)
@@ -184,23 +190,26 @@ def _stripes(inputs: EffectInputs) -> NeglectedEffect:
     return NeglectedEffect("stripes", size, sentence, size > LARGE)
 
 
-def _time_constants(setup: Setup, pipeline: CleaningPipeline, share: np.ndarray) -> NeglectedEffect:
-    """Fraction of the signal's power in the scored multipoles that the time constants take.
-
-    Scans of both directions leave the real part of the response of a pole, averaged over the detectors, and
-    observations scan along both axes in turn.
-    """
-    tau = setup.camera.properties.time_constant_s[pipeline.rows]
-    angle = np.pi / 4 * (np.arange(16) + 0.5) / 16
-    speed = setup.scene.scan.speed_rad_s * np.stack([np.cos(angle), np.sin(angle)])
-    phase = setup.analysis.region.rings.ell[:, None, None] * speed
-    amplitude = np.mean([1 / (1 + (phase * each) ** 2) for each in tau], axis=0).mean(axis=1)
-    size = float(1 - share @ np.mean(amplitude**2, axis=1))
+def _crosstalk(setup: Setup, pipeline: CleaningPipeline) -> NeglectedEffect:
+    """Fraction of the signal's power that crosstalk adds to the largest structures, in a part of the detectors."""
+    ones = np.ones((setup.camera.n_det, 1))
+    seen = CrosstalkMatrix(setup.scene.crosstalk, setup.camera.readout_groups).times(ones)[pipeline.rows]
+    size = float(abs(np.mean(seen) ** 2 - 1))
     sentence = (
-        f"The time constants of the detectors take {_percent(size)} of the signal's power, and part of the noise, which"
-        " the forecast neglects."
+        f"Crosstalk changes the signal's power by up to {_percent(size)}, which the forecast of a part of the detectors"
+        " neglects."
     )
-    return NeglectedEffect("time constants", size, sentence, size > LARGE)
+    return NeglectedEffect("crosstalk", size, sentence, size > LARGE)
+
+
+def _lost_samples(scene: Scene, inputs: EffectInputs) -> NeglectedEffect:
+    """Fraction of the samples that is lost, which the forecast takes out of the hits alone."""
+    size = 1 - float(np.mean(sampled_share(scene, inputs.conditions.white + inputs.conditions.shared)))
+    sentence = (
+        f"{_percent(size)} of the samples are lost, which lowers the hits of the forecast; it neglects that templates"
+        " are made of fewer detectors and of filled gaps."
+    )
+    return NeglectedEffect("lost samples", size, sentence, size > MOST_LOST)
 
 
 def _few_detectors(templates: int, n_det: int) -> NeglectedEffect:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from surveysim.metrics import array_net, band_powers, flat_band_power, largest_scale, time_to
+from surveysim.metrics import array_net, band_powers, cluster, flat_band_power, largest_scale, point_source, time_to
 from surveysim.metrics.map_noise import MapNoise, Quantity
 from surveysim.runtime.table import Table
 from surveysim.scene import metrics as sections
@@ -43,6 +43,8 @@ METRICS = {
     "largest_scale": Metric(sections.LargestScale, largest_scale.quantities),
     "array_net": Metric(sections.ArrayNet, array_net.quantities),
     "time_to": Metric(sections.TimeTo, time_to.quantities, of_another=True),
+    "point_source": Metric(sections.PointSourceDepth, point_source.quantities),
+    "cluster": Metric(sections.ClusterDepth, cluster.quantities),
 }
 
 

@@ -10,8 +10,11 @@ from surveysim.output.scene_copy import bands_files, scene_files, sweep_files
 from surveysim.reduction.setup import Setup
 from surveysim.scene.bands import MultiBandScene, bands_hash
 from surveysim.scene.scene import Scene, scene_hash, survey_hash
+from surveysim.studies.budget.points import Budget
 from surveysim.studies.compare.comparison import RunComparison
 from surveysim.studies.convergence.records import MOST_SEEDS, REFERENCE_ERROR, SUB_SURVEY
+from surveysim.studies.optimise.problem import Problem
+from surveysim.studies.optimise.store import FILE as EVALUATIONS
 from surveysim.studies.sweep.axes import Sweep, sweep_hash
 from surveysim.studies.sweep.bands import MultiBandSweep, band_sweep_hash
 from surveysim.studies.sweep.point_run import Stage
@@ -104,13 +107,37 @@ def of_sweep(sweep: Sweep, command: str, figures: bool, limits: SweepLimits | No
     """Return the results of a sweep; simulated sweeps keep the scores and sums of their points until the end."""
     names = [*COMMON, "sweep.ecsv", "sweep_pairs.ecsv", *(["figures/sweep.png"] if figures else [])]
     if command == "run":
-        names += [f"points/{point.number:03d}.{kind}" for point in sweep.points for kind in ("npz", "checkpoint.h5")]
+        names += _kept_points(sweep)
     identity = sweep_hash(sweep)
     if limits is not None:
         stages = [Stage(point, end) for point in sweep.points for end in round_ends(sweep.points)]
         names += [f"points/{stage.file}" for stage in stages if stage.observations < stage.point.scene.observations]
         identity = sha256(f"{identity} {limits}".encode()).hexdigest()
     return Results(command, sweep.name, identity, tuple(names), sweep_files(sweep))
+
+
+def of_budget(budget: Budget, simulate: bool, figures: bool) -> Results:
+    """Return the results of a budget; a simulated one keeps its points until the end."""
+    names = [*COMMON, *(f"tables/{name}.ecsv" for name in ("budget", "budget_points", "budget_pairs"))]
+    names += ["figures/budget.png"] if figures else []
+    if simulate:
+        names += _kept_points(budget.sweep)
+    command = "budget" if simulate else "budget --forecast"
+    return Results(command, budget.name, sweep_hash(budget.sweep), tuple(names), sweep_files(budget.sweep))
+
+
+def _kept_points(sweep: Sweep) -> list[str]:
+    return [f"points/{point.number:03d}.{kind}" for point in sweep.points for kind in ("npz", "checkpoint.h5")]
+
+
+def of_optimise(problem: Problem, figures: bool) -> Results:
+    """Return the results of a search for the best design; simulated designs are kept until the end."""
+    tables = ("optimum", "designs", "front", "evaluations", "simulated", "simulated_pairs")
+    names = [*COMMON, EVALUATIONS, *(f"tables/{name}.ecsv" for name in tables)]
+    names += [f"figures/{name}.png" for name in ("optimum", "simulated") if figures]
+    for number in range(problem.options.rivals + 2):
+        names += [f"points/{number:03d}.{kind}" for kind in ("npz", "checkpoint.h5")]
+    return Results("optimise", problem.scene.name, problem.identity, tuple(names), scene_files(problem.scene))
 
 
 def of_forecast(scene: Scene) -> Results:

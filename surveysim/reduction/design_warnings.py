@@ -12,8 +12,13 @@ from surveysim.atmosphere.water import pwv_quantile
 from surveysim.reduction.setup import Setup
 from surveysim.scene.detector_table import KEY
 from surveysim.telescope.optics import scene_chain
+from surveysim.timestreams.component import loses_samples, present_components
+from surveysim.timestreams.expected_losses import sampled_share
+from surveysim.timestreams.observed_block import observation_levels
+from surveysim.timestreams.simulation import camera_white
 
 MOST_APART = 0.02  # of two conversions to CMB temperature
+MOST_LOST = 0.2  # of the samples
 
 
 def design_warnings(setup: Setup) -> list[str]:
@@ -140,6 +145,20 @@ def _conversions(setup: Setup) -> str:
     )
 
 
+def _lost_samples(setup: Setup) -> str:
+    """Warn of a large expected share of lost samples, in the white noise of the first observation."""
+    if not loses_samples(setup.scene):
+        return ""
+    white = camera_white(setup.camera, observation_levels(setup, 0)).mean
+    lost = 1 - float(sampled_share(setup.scene, np.array([white]))[0])
+    if lost <= MOST_LOST:
+        return ""
+    names = [f"[{item.name}]" for item in present_components(setup.scene) if item.flag is not None]
+    return (
+        f"{', '.join(names)}: {100 * lost:.0f} % of the samples are lost; more than {100 * MOST_LOST:.0f} % are many."
+    )
+
+
 def _arcsec(angle: float) -> str:
     return f"{math.degrees(angle) * 3600:.3g} arcsec"
 
@@ -158,4 +177,5 @@ CHECKS: tuple[Callable[[Setup], str], ...] = (
     _unused_angle,
     _unused_efficiency,
     _conversions,
+    _lost_samples,
 )

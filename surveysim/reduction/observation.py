@@ -37,7 +37,6 @@ from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.response import write_sky_signal
 from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.simulation import observation_path
-from surveysim.timestreams.time_constants import with_time_constants
 
 REFERENCE = (0, 1)  # observations that tell what pipelines leave of a signal: one along each direction
 
@@ -307,14 +306,14 @@ def _empty_signal_maps(analysis: AnalysisSetup, n_sky: int) -> np.ndarray:
 
 
 def _add_signal_maps(signal_maps: np.ndarray, part: _Part, skies_mk: np.ndarray) -> None:
-    """Add each sky before time constants and cleaning, and the difference that it makes to the cleaned data."""
+    """Add each sky as a perfect pointing sees it, and the difference that it makes to the cleaned data."""
     setup, section, streams = part.setup, part.setup.scene.cleaning, part.streams
     rate, extra, raw = setup.observing.scans.sample_rate_hz, part.auxiliary, part.data_mk
     bounds, signal = streams.scan_bounds, np.empty_like(streams.data_mk)
     of_pipelines = list(zip(part.pipelines, part.index, part.cleaned, strict=True))
     for s, sky in enumerate(skies_mk):
         write_sky_signal(setup, part.pointing, sky, signal)
-        passed = streams.filled(with_time_constants(setup, signal))
+        passed = streams.filled(streams.response.output(sky, signal))
         for pipeline, index, base in of_pipelines:
             seen, place = signal[pipeline.rows], setup.analysis.transfer_function_names.index(pipeline.data_set)
             scans = _cleaned_again(section, pipeline, base.kept)

@@ -16,6 +16,7 @@ from surveysim.scene.scene import Scene
 from surveysim.telescope.noise_levels import stop_emits
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.scans import Scans, samples_per_scan
+from surveysim.timestreams.component import loses_samples
 from surveysim.timestreams.simulation import AirSetup
 
 if TYPE_CHECKING:
@@ -143,10 +144,12 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     sums = 8.0 * flips * of.n_set * patch + 24.0 * of.n_set * of.n_pixel
     more_sums = (sums_held(scene.observations, sums) - 1) * sums
     compared = 2 + len(scene.cleaning.compare)
+    # Flags, and streams whose gaps are filled, beside the streams.
+    filled = of.n_det * of.n_samp * of.n_scans * (1 + 2 * real) if loses_samples(scene) else 0
     # A block of one scan does not depend on the limit.
     block_key = "numerics.max_block_memory" if of.n_scans > 1 else "scan.duration"
     needed = {
-        block_key: of.n_det * of.n_samp * of.n_scans * (5 + of.n_bands) * real + 16 * of.n_det * n_freq,
+        block_key: of.n_det * of.n_samp * of.n_scans * (5 + of.n_bands) * real + 16 * of.n_det * n_freq + filled,
         "cleaning.algorithm": _cleaning_memory(scene, of),
         "scan.sample_rate": 100.0 * scene.scan.scans * of.n_samp,
         "map.pixel": 64.0 * of.n_set * of.n_pixel + (140.0 * of.n_pixel if scene.sky or scene.score else 0),

@@ -31,6 +31,7 @@ from surveysim.reduction.consistency import (
 )
 from surveysim.reduction.detector_weights import beams_of, detector_weights
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
+from surveysim.reduction.response_checks import check_response
 from surveysim.reduction.scored_region import padded_side, patch_side
 from surveysim.reduction.signal_sims import carriers
 from surveysim.runtime.errors import InputError, SceneError
@@ -41,13 +42,15 @@ from surveysim.telescope.focal_plane import Camera, CameraExtent, camera, camera
 from surveysim.telescope.noise_levels import stop_emits
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.pointing import Schedule
+from surveysim.telescope.pointing_errors import true_focal_plane
 from surveysim.telescope.responsivity import assumed_responsivity, camera_responsivity
 from surveysim.telescope.scan_pattern import ScanPattern, scan_pattern
 from surveysim.telescope.scans import Scans, mid_times, samples_per_scan
 from surveysim.telescope.table_checks import check_table
+from surveysim.telescope.time_constants import assumed_time_constants, true_time_constants
 from surveysim.timestreams.scan_blocks import Block, scan_blocks
 from surveysim.timestreams.shared_parts import layer_strips
-from surveysim.timestreams.sharing import check_groups
+from surveysim.timestreams.sharing import check_groups, readout_groups
 from surveysim.timestreams.simulation import (
     AirSetup,
     CameraSetup,
@@ -155,6 +158,7 @@ def _common(scene: Scene) -> _Common:
 
 def _simulation(scene: Scene, common: _Common) -> Simulation:
     cam = common.cameras[scene.band_name]
+    tau_s = true_time_constants(scene, cam)
     cam_setup = CameraSetup(
         cam.focal_plane,
         cam.f_lambda_rad,
@@ -168,6 +172,10 @@ def _simulation(scene: Scene, common: _Common) -> Simulation:
         photon=scene.photon,
         excess=scene.excess,
         stop_emits=stop_emits(scene),
+        true_plane=true_focal_plane(scene, cam.focal_plane),
+        time_constant_s=tau_s,
+        deconvolved_s=assumed_time_constants(scene, tau_s),
+        readout_groups=readout_groups(cam, scene.crosstalk.group_size) if scene.crosstalk else (),
     )
     all_bands = common.extent.focal_plane if len(common.cameras) > 1 else None
     return Simulation(
@@ -194,6 +202,7 @@ def _prepare(scene: Scene) -> Setup:
     check_score(scene, geometry, scans)
     check_healpix(scene)
     check_excess(scene)
+    check_response(scene)
     check_sky(scene, common.sky_geometry)
     scene_pipelines = pipelines(scene.cleaning, masked)
     _check_blocks(scene, common, scene_pipelines)

@@ -6,6 +6,7 @@ from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.scene.scene import Scene
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.component import COMPONENTS, present_components
+from surveysim.timestreams.response import present_steps
 
 # Optional sections, and the consequence of leaving each out.
 OPTIONAL = {item.name: item.absence for item in COMPONENTS if item.absence is not None} | {
@@ -32,6 +33,7 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
             f"{len(setup.observing.blocks)} an observation, {most} scans or fewer in {megabytes:.3g} MB of streams"
         )
     stages |= {item.name: item.sentence for item in present_components(scene)}
+    stages |= {step.name: step.sentence for step in present_steps(setup) if step.section != "instrument"}
     stages["cleaning"] = ", ".join(pipeline.label for pipeline in setup.analysis.whole_pipelines)
     stages["maps"] = f"{setup.analysis.geometry.n_x} x {setup.analysis.geometry.n_y} pixels"
     if scene.score:
@@ -54,6 +56,8 @@ def left_out(setup: Setup) -> dict[str, str]:
     """Return every stage that a run of the scene leaves out with its reason."""
     scene = setup.scene
     reasons = {name: f"no section [{name}]{OPTIONAL[name]}" for name in absent_sections(scene)}
+    switched = (item for item in COMPONENTS if getattr(scene, item.name) is not None and not item.is_present(scene))
+    reasons |= {item.name: f"{item.name}.{item.switch} is 'none'" for item in switched}
     if scene.fixed_pointing:
         reasons["ephemerides"] = "a fixed elevation needs none"
     if setup.air.water is None:

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from surveysim.runtime.errors import InputError
-from surveysim.scene.fields import PositiveBandPower, TableOrName, number, whole
+from surveysim.scene.fields import PositiveAngle, PositiveBandPower, TableOrName, number, whole
 from surveysim.scene.section import Section
 from surveysim.scene.spectrum_table import read_spectrum
 from surveysim.scene.units import shown
@@ -137,7 +137,51 @@ class TimeTo(Metric):
     quantity_names: ClassVar[tuple[str, ...]] = ("hours",)
 
 
-METRIC_SECTIONS = (BandPowers, LargestScale, ArrayNet, TimeTo)
+class _SourceDepth(Metric):
+    """Base of the metrics of a matched filter."""
+
+    ell_min: Annotated[int, *whole(0, 10_000_000)] | None = Field(
+        default=None, json_schema_extra={"otherwise": "`score.ell_min`"}
+    )
+    """Lowest multipole that the matched filter uses, in whole bins of the score; the highest is `score.ell_max`."""
+
+
+class PointSourceDepth(_SourceDepth):
+    """Depth and mapping speed for point sources, by a matched filter of the map; without confusion by other sources."""
+
+    kind: Literal["point_source"]
+    """Kind of the metric."""
+    quantity_names: ClassVar[tuple[str, ...]] = ("depth_mjy", "depth_mk", "mapping_speed")
+
+
+class ClusterDepth(_SourceDepth):
+    """Depth for clusters of galaxies in the central Compton parameter y0, by a matched filter of the map; without
+    confusion by the CMB or galaxies."""
+
+    kind: Literal["cluster"]
+    """Kind of the metric."""
+    profile: Literal["arnaud", "beta"]
+    """Profile: "arnaud" is the universal pressure profile of Arnaud et al. (2010), "beta" an isothermal cluster."""
+    theta_500_rad: PositiveAngle | None = Field(alias="theta_500", default=None)
+    """Required by "arnaud": angle of R500."""
+    core_radius_rad: PositiveAngle | None = Field(alias="core_radius", default=None)
+    """Required by "beta": angle of the core radius theta_c in y0 (1 + theta^2 / theta_c^2)^((1 - 3 beta) / 2)."""
+    beta: Annotated[float, *number(0.4, 5)] | None = None
+    """Required by "beta": its exponent."""
+    quantity_names: ClassVar[tuple[str, ...]] = ("depth_y0",)
+
+    @model_validator(mode="after")
+    def _keys_of_profile(self) -> Self:
+        given = {"theta_500": self.theta_500_rad, "core_radius": self.core_radius_rad, "beta": self.beta}
+        needed = {"arnaud": ("theta_500",), "beta": ("core_radius", "beta")}[self.profile]
+        for key, value in given.items():
+            if (value is None) == (key in needed):
+                found = "missing; it is expected with" if value is None else "found with"
+                raise ValueError(f"{key}: {found} the profile {self.profile!r}")
+        return self
+
+
+METRIC_SECTIONS = (BandPowers, LargestScale, ArrayNet, TimeTo, PointSourceDepth, ClusterDepth)
 KIND_TAG = "kind="  # begins the part of an error's location that names the kind
 
 
@@ -159,7 +203,9 @@ AnyMetric = Annotated[
     Annotated[BandPowers, Tag("kind=band_powers")]
     | Annotated[LargestScale, Tag("kind=largest_scale")]
     | Annotated[ArrayNet, Tag("kind=array_net")]
-    | Annotated[TimeTo, Tag("kind=time_to")],
+    | Annotated[TimeTo, Tag("kind=time_to")]
+    | Annotated[PointSourceDepth, Tag("kind=point_source")]
+    | Annotated[ClusterDepth, Tag("kind=cluster")],
     Discriminator(_kind),
     BeforeValidator(_with_kind),
 ]
@@ -178,6 +224,8 @@ def check_metrics(metrics: tuple[Metric, ...], ell_bin: int, ell_max: int) -> No
             )
         if isinstance(item, BandPowers):
             _check_edges(item, ell_bin, ell_max)
+        if isinstance(item, _SourceDepth) and item.ell_min is not None:
+            _check_lowest(item.label, item.ell_min, ell_bin, ell_max)
 
 
 def _check_edges(item: BandPowers, ell_bin: int, ell_max: int) -> None:
@@ -186,6 +234,15 @@ def _check_edges(item: BandPowers, ell_bin: int, ell_max: int) -> None:
         raise ValueError(
             f"metrics: found the edge {wrong[0]} in {item.label!r}; multiples of ell_bin = {ell_bin} up to"
             f" {ell_max // ell_bin * ell_bin} are expected"
+        )
+
+
+def _check_lowest(label: str, ell_min: int, ell_bin: int, ell_max: int) -> None:
+    most = ell_max // ell_bin * ell_bin - ell_bin
+    if ell_min > most:
+        raise ValueError(
+            f"metrics: found ell_min = {ell_min} in {label!r}; {most} or less is expected, which leaves a bin of"
+            f" {ell_bin} below {ell_max}"
         )
 
 

@@ -116,5 +116,11 @@ def _load(
     return sky, stated("warm optics", DETECTOR, load.optics_k, frequency_hz)
 
 
+def site_load_k(opacity: BandOpacity, pwv_mm: float, elevation_rad: np.ndarray) -> np.ndarray:
+    """Load (n,) [K] of the air above a site at some elevations, a black body in the Rayleigh-Jeans limit."""
+    depth = [float(optical_depth(opacity, pwv_mm, airmass=1 / math.sin(item))) for item in elevation_rad.tolist()]
+    return opacity.temperature_k * (1 - np.exp(-np.array(depth)))
+
+
 def _simple_coupling(instrument: Instrument) -> Surface:
     return coupling(instrument.band.nodes[0], total_efficiency(instrument))

@@ -16,7 +16,7 @@ from surveysim.scene.scene import Scene, survey_hash
 from surveysim.telescope.pointing import Pointing
 from surveysim.timestreams.component import StreamComponent, present_components
 from surveysim.timestreams.observed_block import ObservedBlock, observation_weather, observed_block
-from surveysim.timestreams.response import apply_response
+from surveysim.timestreams.response import BlockResponse, block_response
 from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.simulation import Simulation, observation_path
 
@@ -63,12 +63,15 @@ class DrawnBlock:
     of
         The block.
     data_mk : (n_det, n_samp)
+    response
+        Response of the detectors, for signals that are simulated alone.
     flags : (n_det, n_samp)
         True for lost samples; None where the scene loses none.
     """
 
     of: ObservedBlock
     data_mk: np.ndarray
+    response: BlockResponse
     flags: np.ndarray | None = None
 
     @cached_property
@@ -119,17 +122,23 @@ def draw_block(setup: Simulation, observation: int, whole: Pointing, block: Bloc
         Stopwatch that each component is timed with, under its name.
     """
     of = observed_block(setup, observation, block, whole)
-    return DrawnBlock(of, _drawn(of, present_components(setup.scene), watch), sample_flags(of, watch))
+    data, response = _drawn(of, present_components(setup.scene), watch)
+    return DrawnBlock(of, data, response, sample_flags(of, watch))
 
 
-def _drawn(of: ObservedBlock, components: Sequence[StreamComponent], watch: Stopwatch) -> np.ndarray:
-    """Draw the streams (n_det, n_samp) of a block: the components through the response, then those at its output."""
+def _drawn(
+    of: ObservedBlock, components: Sequence[StreamComponent], watch: Stopwatch
+) -> tuple[np.ndarray, BlockResponse]:
+    """Draw the streams (n_det, n_samp) of a block: what detectors see, through the response, and noise after it."""
     data = np.zeros((of.setup.camera.n_det, len(of.pointing.time_s)), of.setup.stream_type)
     _add([item for item in components if item.through_response], data, of, watch)
     with watch("response"):
-        apply_response(of.setup, data)
+        response = block_response(of, data)
+        response.acting_on("signals", "light").apply(data)
     _add([item for item in components if not item.through_response], data, of, watch)
-    return data
+    with watch("response"):
+        response.acting_on("streams").apply(data)
+    return data, response
 
 
 def _add(components: Sequence[StreamComponent], data: np.ndarray, of: ObservedBlock, watch: Stopwatch) -> None:
@@ -164,8 +173,9 @@ def draw_band(setup: Simulation, observation: int, whole: Pointing, block: Block
     (n_det, n_samp) array [mK]
     """
     of = observed_block(setup, observation, block, whole)
-    data = _drawn(of, [item for item in present_components(setup.scene) if item.name != "sky"], Stopwatch())
-    return DrawnBlock(of, data, sample_flags(of, Stopwatch())).filled(data)
+    components = [item for item in present_components(setup.scene) if item.name != "sky"]
+    data, response = _drawn(of, components, Stopwatch())
+    return DrawnBlock(of, data, response, sample_flags(of, Stopwatch())).filled(data)
 
 
 @lru_cache(maxsize=2)  # one for all observations

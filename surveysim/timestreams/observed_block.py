@@ -10,6 +10,7 @@ from surveysim.atmosphere.weather import Weather, survey_weather
 from surveysim.runtime.rng import NormalDeviates, RandomPurpose, generator, normal_deviates
 from surveysim.telescope.noise_levels import WhiteByDetector, WhiteLevels, white_levels
 from surveysim.telescope.pointing import Pointing
+from surveysim.telescope.pointing_errors import true_pointing
 from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.simulation import Simulation, camera_white
 
@@ -36,6 +37,12 @@ class ObservedBlock:
     def pointing(self) -> Pointing:
         """Pointing of the block."""
         return self.whole.scans(self.block.first, self.block.end)
+
+    @cached_property
+    def true_pointing(self) -> Pointing:
+        """Pointing of the block with its errors: `pointing` itself without errors."""
+        true = true_pointing(self.setup.scene, self.observation, self.whole)
+        return self.pointing if true is self.whole else true.scans(self.block.first, self.block.end)
 
     @cached_property
     def levels(self) -> WhiteLevels:

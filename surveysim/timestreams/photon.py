@@ -9,7 +9,7 @@ from surveysim.telescope.lattice_noise import LatticeFactor, LatticePixels, Wafe
 from surveysim.telescope.pixel_coherence import DensePixels
 from surveysim.timestreams.noise import add_correlated_white, add_white
 from surveysim.timestreams.observed_block import ObservedBlock, white_of_block
-from surveysim.timestreams.time_constants import apply_time_constants
+from surveysim.timestreams.response import draws_parts, pass_light
 
 
 def add_photon_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
@@ -18,7 +18,7 @@ def add_photon_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
     The sum of the two is one Gaussian noise, with one draw: of the levels p and d, of which pixels share ``s p``, its
     level is p + d, of which they share ``s p``. Detectors that differ have parts of their own.
     """
-    if of.setup.camera.draws_parts:
+    if draws_parts(of):
         _add_parts(data_mk, of)
         return
     setup, levels, deviates = of.setup, of.levels, of.deviates(RandomPurpose.PHOTON)
@@ -34,7 +34,7 @@ def add_photon_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
 
 
 def _add_parts(data_mk: np.ndarray, of: ObservedBlock) -> None:
-    """Add the shared photon noise and that of each detector, both through the time constants, in place."""
+    """Add the shared photon noise and that of each detector, both through the steps of the response, in place."""
     setup, rate = of.setup, of.setup.observing.scans.sample_rate_hz
     white, correlation = white_of_block(of), setup.camera.photon_correlation
     seen = np.zeros_like(data_mk)
@@ -44,7 +44,7 @@ def _add_parts(data_mk: np.ndarray, of: ObservedBlock) -> None:
         factor = _shared_factor(correlation, of.levels.stop_share, 1.0)
         add_correlated_white(seen, white.shared, rate, factor, of.deviates(RandomPurpose.PHOTON))
         add_white(seen, white.alone, rate, of.deviates(RandomPurpose.PHOTON, realization=1))
-    apply_time_constants(setup, seen)
+    pass_light(of, seen)
     data_mk += seen
 
 

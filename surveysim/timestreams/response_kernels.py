@@ -1,4 +1,4 @@
-"""Kernel of the detectors' response in time."""
+"""Kernels of the detectors' response in time, and of its deconvolution."""
 
 from mapmaker.kernels.compiled import njit
 
@@ -27,3 +27,29 @@ def low_pass(data, per_scan, decay, taps):
                 y = a * y + t0 * before + t1 * last + t2 * now + t3 * after
                 before, last, now = last, now, after
                 data[d, n] = y
+
+
+@njit(cache=True, nogil=True)
+def add_derivative(data, per_scan, lead):
+    """Add a multiple of its derivative to every scan of every detector, in place.
+
+    Parameters
+    ----------
+    data : (n_det, n_samp)
+        Whole scans side by side.
+    per_scan
+        Samples of a scan.
+    lead : (n_det,)
+        Multiple of the derivative by sample, ``(y[n-2] - 8 y[n-1] + 8 y[n+1] - y[n+2]) / 12``. The first and last
+        samples of a scan continue beyond its ends.
+    """
+    for d in range(data.shape[0]):
+        scale = lead[d] / 12
+        for start in range(0, data.shape[1], per_scan):
+            last = start + per_scan - 1
+            now = float(data[d, start])
+            far, near = now, now
+            for n in range(start, start + per_scan):
+                ahead, further = float(data[d, min(n + 1, last)]), float(data[d, min(n + 2, last)])
+                data[d, n] = now + scale * (far - 8 * near + 8 * ahead - further)
+                far, near, now = near, now, ahead

@@ -50,17 +50,24 @@ class CameraSetup(Camera):
         Sections of the scene; None without that noise.
     stop_emits
         Whether light of the stop reaches the detectors.
+    true_plane
+        Focal plane with the true positions of the detectors; `focal_plane` has those that are assumed.
+    time_constant_s : (n_det,)
+        True time constants; None without them.
+    deconvolved_s : (n_det,)
+        Time constants with which streams are deconvolved; None where they are not.
+    readout_groups
+        Detectors of each readout group, in the order of readout; none without crosstalk.
     """
 
     responsivity: np.ndarray
     photon: Photon | None
     excess: Excess | None
     stop_emits: bool = False
-
-    @property
-    def draws_parts(self) -> bool:
-        """Whether photon and detector noise are drawn apart: detectors differ in their levels, or in time constants."""
-        return self.properties.white_differs or self.properties.time_constant_s is not None
+    true_plane: FocalPlane
+    time_constant_s: np.ndarray | None = None
+    deconvolved_s: np.ndarray | None = None
+    readout_groups: tuple[np.ndarray, ...] = ()
 
     @once
     def beams(self) -> Beams:

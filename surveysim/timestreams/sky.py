@@ -3,6 +3,7 @@
 import numpy as np
 
 from mapmaker.kernels.pixels import add_sky
+from mapmaker.timestreams import FocalPlane
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.telescope.pointing import Pointing
 from surveysim.timestreams.observed_block import ObservedBlock
@@ -11,16 +12,29 @@ from surveysim.timestreams.simulation import Simulation
 
 def add_scene_sky(data_mk: np.ndarray, of: ObservedBlock) -> None:
     """Add the sky of the scene to streams (n_det, n_samp) of a block, in place."""
-    add_seen_sky(of.setup, of.pointing, of.setup.sky.map_mk, data_mk, np.ones(len(data_mk)))
+    add_true_sky(of, of.setup.sky.map_mk, data_mk, np.ones(len(data_mk)))
+
+
+def add_true_sky(of: ObservedBlock, sky_mk: np.ndarray, data_mk: np.ndarray, gain: np.ndarray) -> None:
+    """Add a sky at the true pointing of a block; parameters and errors as for `add_seen_sky`."""
+    add_seen_sky(of.setup, of.true_pointing, sky_mk, data_mk, gain, plane=of.setup.camera.true_plane)
 
 
 def add_seen_sky(
-    setup: Simulation, pointing: Pointing, sky_mk: np.ndarray, data_mk: np.ndarray, gain: np.ndarray
+    setup: Simulation,
+    pointing: Pointing,
+    sky_mk: np.ndarray,
+    data_mk: np.ndarray,
+    gain: np.ndarray,
+    *,
+    plane: FocalPlane | None = None,
 ) -> None:
     """Add a sky, times the gain (n_det,) of each detector, to streams (n_det, n_samp), in place.
 
     Parameters
     ----------
+    plane
+        Positions of the detectors; by default those that are assumed.
     sky_mk : (n_y, n_x) or (n_beam, n_y, n_x)
         The sky, or the sky through each of the camera's beams.
 
@@ -29,7 +43,7 @@ def add_seen_sky(
     ValueError
         For streams or gains of other samples or detectors than those of the pointing and the camera.
     """
-    grid, plane = setup.sky.geometry, setup.camera.focal_plane
+    grid, plane = setup.sky.geometry, plane or setup.camera.focal_plane
     n_det, n_samp = len(plane.x_rad), len(pointing.xi_rad)
     if data_mk.shape != (n_det, n_samp) or gain.shape != (n_det,):
         raise OutOfRangeError(

@@ -400,17 +400,6 @@ def test_forecast_of_unequal_noise(scene_with):
         assert abs(item.sigma) < max(0.1, 3 * item.sigma_error) and abs(item.psd) < 0.15 + 3 * item.psd_error, name
 
 
-def test_forecasts_tell_of_time_constants(scene_with):
-    """They lack them, and say how much of the signal they take."""
-    settings = {"atmosphere": None, "excess": None, "sky": None, "cleaning.algorithm": "none"}
-    for tau, flagged in ((0.001, False), (0.1, True)):
-        found = forecast(prepare(scene_with({"time_constant": np.full(N_DET, tau)}, settings)))
-        (effect,) = [item for item in found.scores["actual"].effects if item.name == "time constants"]
-        assert effect.flagged == flagged and 0 < effect.size < 0.7
-    # Loss in the lowest two bins, as the transfer function above has it: they have most of the information.
-    assert 0.24 < effect.size < 0.39
-
-
 # ---------------------------------------------------------------- refusals
 
 

@@ -16,8 +16,9 @@ from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.runtime.errors import InsufficientDataError
 from surveysim.timestreams.atmosphere import add_layer
 from surveysim.timestreams.observation import draw_observation
-from surveysim.timestreams.observed_block import observation_weather
-from surveysim.timestreams.response import apply_response
+from surveysim.timestreams.observed_block import observation_weather, observed_block
+from surveysim.timestreams.response import block_response
+from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.simulation import observation_path
 
 SECOND_LAYER_RAD = radians(120.0)  # direction of the second layer's wind from that of the first
@@ -91,7 +92,8 @@ def two_layers(setup: Setup, observation: int) -> WindFit:
     turned = replace(weather, wind_angle_rad=weather.wind_angle_rad + SECOND_LAYER_RAD)
     extra = np.zeros_like(streams.data_mk)
     add_layer(setup, observation, pointing, weather=turned, data=extra, realization=1)
-    apply_response(setup, extra)
+    whole = Block(0, 0, setup.observing.scans.n_scans)
+    block_response(observed_block(setup, observation, whole, pointing), extra).apply(extra)
     return measure(setup, replace(streams, data_mk=streams.data_mk + extra), observation).wind
 
 

@@ -111,6 +111,16 @@ FORECAST_SWEEP = Caption(
     "actual data set, by default σ(A), by forecast. Right: its ratio to the reference point.",
     "Look for the best point, and for the curvature around it.",
 )
+BUDGET = Caption(
+    "Survey time by stage",
+    "Bars of survey time from the least scene to the whole one, and the cost of each stage removed or added alone.",
+    "Across: survey time that gives the same σ(A), in percent of the whole scene's. Left: each bar adds the cost of a "
+    "stage added alone to the least scene (grey at the top); the orange bar is the rest of the whole scene's time, the "
+    "interactions of the stages. Right: the cost of each stage, removed alone from the whole scene (discs) and added "
+    "alone to the least one (squares). Bars are paired errors, for simulated points.",
+    "Look for the longest bars, which a better camera shortens, for stages at 0 within their error bars, which this "
+    "scene can do without, and for discs far from their squares: stages whose cost depends on the others.",
+)
 ACCURACY = Caption(
     "Accuracy and its cost",
     "Errors and biases of the score against CPU time, for every setting of every parameter.",
@@ -120,6 +130,29 @@ ACCURACY = Caption(
     "Look for diamonds far from the grey line: there another setting is as good and faster.",
 )
 
+OPTIMUM = Caption(
+    "The metric along each knob",
+    "Forecasts of the metric against each knob, with the range within 1 % of the best design.",
+    "Across: a knob. Up: the metric, by forecast. Blue: designs along this knob, with the others at the best design; "
+    "the line is a smooth surface through the designs near it. Grey: all designs of the search. Orange: within 1 % of "
+    "the best.",
+    "Look for the width of the orange range: inside it other reasons may decide. A range that ends at the edge of the "
+    "panel ends with the range that was searched.",
+)
+FRONT = Caption(
+    "Two metrics that compete",
+    "Designs by their two metrics, with the Pareto front.",
+    "Across and up: the two metrics, by forecast. Grey: all designs of the search. Blue: the front, designs that no "
+    "other is better than in both metrics.",
+    "Look for a corner of the front, from which little is gained in one metric for much of the other.",
+)
+SIMULATED_DESIGNS = Caption(
+    "The simulated designs",
+    "Sensitivity of each simulated design, and its ratio to the scene as it is.",
+    "Across: designs. Up: σ(A) of the actual data [µK²_CMB] with Monte Carlo errors, and its ratio to the scene as it "
+    "is with paired errors. Triangles: forecast.",
+    "Look for ratios that differ by more than their errors.",
+)
 # Of a comparison of runs, by name of the file.
 COMPARISON = {
     "map_psd": Caption(

@@ -44,6 +44,11 @@ def discarded_section(summary: Content, scene: Content) -> Section:
 
 def _blocks(summary: Content, scene: Content) -> Iterator[Block]:
     shares, by_weather = summary["discarded"], summary["discarded_by_weather"]
+    if "samples_lost" in summary:
+        lost = (
+            f"{100 * summary['samples_lost']:.1f} % of the samples of all detectors are lost, and left out of the map."
+        )
+        yield Text((lost,))
     if not any(shares.values()):
         yield Text(("No scan was discarded.",))
         return

@@ -10,6 +10,8 @@ from typing import Any
 
 from surveysim.reduction.signal_sims import carriers
 from surveysim.report.html.components import UK2, Block, Terms
+from surveysim.report.html.readout import DESCRIPTIONS
+from surveysim.report.html.response import response_terms
 from surveysim.runtime.numbers import joined, number, plural, short
 from surveysim.scene.sites import OWN, site_title
 from surveysim.scene.units import b2_unit
@@ -41,7 +43,7 @@ Values = Mapping[str, Any]
 
 def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:
     """Return terms with their descriptions, from the content of scene.json, for the stages that the scene has."""
-    components = [item for item in COMPONENTS if scene.get(item.name) is not None]
+    components = [item for item in COMPONENTS if scene.get(item.name)]
     tell: dict[str, Callable[[], Iterator[str]]] = {
         "Field": lambda: _field(scene),
         "Observations": lambda: _observations(scene),
@@ -50,6 +52,7 @@ def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:
         ),
         **({"Optics": lambda: _optics(scene["optics"])} if scene.get("optics") else {}),
         **{item.title: partial(_component, item, scene[item.name]) for item in components},
+        **response_terms(scene),
         "Cleaning": lambda: _cleaning(scene["cleaning"]),
         "Map": lambda: _map(scene),
         "Score": lambda: _score(scene["score"], scene["observations"]),
@@ -268,12 +271,13 @@ def _sky(sky: Values) -> Iterator[str]:
     yield f"and {plural(len(sources), 'point source')} of {brightness}." if sources else "alone."
 
 
-_COMPONENTS: dict[str, Callable[[Values], Iterator[str]]] = {
+_COMPONENTS: dict[str, Callable[[Any], Iterator[str]]] = {
     "atmosphere": _atmosphere,
     "excess": _excess,
     "sky": _sky,
     "photon": _photon,
     "detector": _detector,
+    **DESCRIPTIONS,
 }
 
 _RESPONSIVITIES = {

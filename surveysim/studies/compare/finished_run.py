@@ -24,6 +24,8 @@ SCORES, SPECTRA, STREAMS, OBSERVATIONS = (
 )
 RUN = "the directory of a run, or of a point of a sweep as in SWEEP/points/3"
 _OTHERS = {  # keys of other summaries, and the directories to give in their place
+    "budget": f"found a budget; {RUN}, is expected",
+    "optimum": f"found an optimum; {RUN}, is expected",
     "points": f"found a sweep; {RUN}, is expected",
     "bands": "found a camera of several bands; the directory of a band, as in DIR/bands/150, is expected",
     "accuracy": f"found results of 'surveysim accuracy'; {RUN}, is expected",

@@ -34,7 +34,7 @@ from surveysim.telescope.scans import samples_per_scan
 
 MAX_POINTS = 1000
 LABEL_LENGTH = 40
-COMMON = ("seed", "name", "title", "sweep")  # keys that are the same at all points
+COMMON = ("seed", "name", "title", "sweep", "optimise")  # keys that are the same at all points
 
 T = TypeVar("T")
 
@@ -172,21 +172,11 @@ def sweep_along(
     labels = [", ".join(axis.at(step) for axis, step in zip(axes, place, strict=True)) for place in places]
 
     choices = given_choices(tomllib.loads(origin.text)["sweep"])
-    metric = choices.get(METRIC, SIGMA_KEY)
+    metric = str(choices.get(METRIC, SIGMA_KEY))
 
     def point(number: int) -> Point:
         scene = scene_at(settings[number])
-        if scene.score is None:
-            raise SceneError("score: missing; a sweep compares scores")
-        check_metric(metric, scene)
-        setup = prepare(scene)
-        samples = (
-            setup.camera.n_det
-            * setup.observing.scans.n_scans
-            * samples_per_scan(setup.observing.scans)
-            * scene.observations
-        )
-        return Point(number, places[number], labels[number], settings[number], scene, setup.camera.n_det, samples)
+        return sweep_point(number, places[number], labels[number], settings[number], scene, metric)
 
     points = tuple(_of_all(path, labels, point))
     name = "sweep.reference" if reference is None else "--reference"
@@ -197,7 +187,25 @@ def sweep_along(
         raise SceneError(f"{path}: {error}") from None
     if reference is not None and all(axis.name != REFERENCE for axis in axes):
         origin = replace(origin, overrides={**origin.overrides, f"sweep.{REFERENCE}": chosen})
-    return Sweep(path, axes, points, origin, chosen, str(metric))
+    return Sweep(path, axes, points, origin, chosen, metric)
+
+
+def sweep_point(
+    number: int,
+    place: tuple[int, ...],
+    label: str,
+    settings: dict[str, Any],
+    scene: Scene,
+    metric: str = SIGMA_KEY,
+) -> Point:
+    """Make a point of a scene, checked and prepared; raises SceneError for one that can't be run or compared."""
+    if scene.score is None:
+        raise SceneError("score: missing; a sweep compares scores")
+    check_metric(metric, scene)
+    setup = prepare(scene)
+    scans = setup.observing.scans
+    samples = setup.camera.n_det * scans.n_scans * samples_per_scan(scans) * scene.observations
+    return Point(number, place, label, settings, scene, setup.camera.n_det, samples)
 
 
 def sweep_hash(sweep: Sweep) -> str:
@@ -295,7 +303,7 @@ def _check_key(where: str, axis: str, key: str, bands: tuple[str, ...]) -> None:
         raise InputError(f"{where}: {same!r} is the same in all bands; {shown(own)} is expected")
     key = own if band in bands else key
     *sections, last = key.split(".")
-    if sections[:1] == ["sweep"] or key in COMMON:
+    if sections[:1] in (["sweep"], ["optimise"]) or key in COMMON:
         raise InputError(f"{where}: found {shown(key)}; a key that is not common to all points is expected")
     if renamed := renamed_line(key):
         raise InputError(renamed)

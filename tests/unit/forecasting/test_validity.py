@@ -21,6 +21,7 @@ from surveysim.results.tables import agreement_table
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
 from surveysim.runtime.strict_json import known
+from surveysim.survey.coadds import ROW_FIELDS
 from surveysim.telescope.scans import samples_per_scan
 from tests.scenes import SMALL_SCENE
 
@@ -91,7 +92,7 @@ def testlowest_multipoles_follow_the_scene(scene_of, calm):
 def test_runs_compare_with_the_forecast_of_the_scans_that_they_kept(calm):
     """The noise of each observation, weighted and co-added by hand with its kept scans."""
     setup, expected = calm.setup, calm.expected.scores["actual"]
-    counts = np.array([row[7] for row in calm.coadds.rows])
+    counts = np.array([row[len(ROW_FIELDS)] for row in calm.coadds.rows])
     kept = 1 - counts / setup.observing.scans.n_scans
     assert 0.05 < 1 - kept.mean() < 0.95 and expected.kept.discarded == pytest.approx(1 - kept.mean())
     levels = observing_conditions(setup, survey_draws(setup, 0, 12))
