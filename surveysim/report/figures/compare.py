@@ -31,7 +31,7 @@ from surveysim.studies.compare.finished_run import SPECTRA, STREAMS
 
 _COLOURS = (BLACK, VERMILION, BLUE, GREEN, PURPLE, ORANGE, SKY)
 _DASHES = ("-", "--", "-.", ":")  # a new kind each time that the colours are used up
-_LINE = {"lw": 1.6}
+_WIDEST, _NARROWEST = 3.0, 1.3  # widths of the first and the last line: lines that coincide all show
 Columns = Mapping[str, np.ndarray]
 
 
@@ -64,7 +64,7 @@ def transfer_function(result: RunComparison) -> Figure:
     for columns, label, look in _runs(result, SPECTRA):
         names = (f"transfer_function_{ACTUAL}", f"transfer_function_error_{ACTUAL}")
         axes.errorbar(columns["ell"], *(columns[name] for name in names), label=label, capsize=2, **look)
-    axes.set_ylim(0, 1.1)
+    axes.set_ylim(bottom=0)
     axes.set_xlim(left=0)
     _finish(figure, axes, ELL, "Power transmission")
     return figure
@@ -75,7 +75,7 @@ def timestream_psd(result: RunComparison) -> Figure:
     figure, (axes,) = panels(1)
     for columns, label, look in _runs(result, STREAMS):
         used = columns["frequency"] > 0
-        axes.plot(columns["frequency"][used], columns["raw_median"][used], **look | {"lw": 0.7})
+        axes.plot(columns["frequency"][used], columns["raw_median"][used], **look | {"lw": look["lw"] / 2})
         axes.plot(columns["frequency"][used], columns["clean_median"][used], label=label, **look)
     axes.set(xscale="log", yscale="log")
     _finish(figure, axes, "Frequency [Hz]", r"PSD [mK$^2$ / Hz]")
@@ -89,7 +89,8 @@ def _runs(result: RunComparison, table: str) -> Iterator[tuple[Columns, str, dic
         columns = run.table(table)
         if columns:
             turn, place = divmod(number, len(_COLOURS))
-            look = {"color": _COLOURS[place], "ls": _DASHES[turn % len(_DASHES)], **_LINE}
+            width = _WIDEST - (_WIDEST - _NARROWEST) * number / (len(result.runs) - 1)
+            look = {"color": _COLOURS[place], "ls": _DASHES[turn % len(_DASHES)], "lw": width}
             yield columns, plain(run.label), look
 
 

@@ -9,7 +9,7 @@ from surveysim.report.html.captions import COMPARISON
 from surveysim.report.html.components import Grid, Page, Picture, Section, Terms, Text, grid, picture
 from surveysim.report.html.discarded_scans import warned
 from surveysim.runtime.numbers import count, day_and_time, plural, quoted
-from surveysim.studies.compare.tables import difference_table, pairing_sentences, run_table, score_rows
+from surveysim.studies.compare.tables import difference_table, pairing_sentences, quantity_tables, run_table
 
 Content = Mapping[str, Any]  # content of summary.json
 
@@ -22,11 +22,11 @@ _RATIOS = (
 def comparison_page(directory: Path, summary: Content) -> Page:
     """Return the page of a comparison from its directory and summary.json."""
     compared = summary["compared"]
-    told = difference_table(compared)
+    told, pairs = difference_table(compared), pairing_sentences(compared)[1:]
     same = Text(("No setting differs.",))
     sections = [
         Section("settings", "Settings that differ", (same if told is None else grid(told),)),
-        Section("scores", "Scores", (grid(score_rows(compared), _RATIOS, *pairing_sentences(compared)[1:]),)),
+        Section("scores", "Scores", (*map(grid, quantity_tables(compared)), Text((_RATIOS, *pairs)))),
         Section("runs", "Runs", (_runs(compared),)),
     ]
     if pictures := tuple(_pictures(directory, summary)):

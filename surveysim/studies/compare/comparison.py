@@ -59,9 +59,10 @@ class RunComparison:
         first, run = self.runs[0], self.runs[number]
         if self.paired(number):
             return ""
-        for item in (run, first):
-            if item.without:
-                return f"{item.label}: {item.without}"
+        if run.without:
+            return run.without
+        if first.without:
+            return f"{first.label}: {first.without}"
         if first.summary["seed"] != run.summary["seed"]:
             return f"seeds {first.summary['seed']} and {run.summary['seed']}"
         return f"versions {first.summary['surveysim']} and {run.summary['surveysim']}, whose random numbers may differ"

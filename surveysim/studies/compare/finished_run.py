@@ -123,7 +123,7 @@ def _read_run(path: Path, label: str) -> FinishedRun:
 
 def _scores(path: Path, summary: Mapping[str, Any]) -> tuple[PointResult | None, str]:
     if not (path / SCORES).exists():
-        return None, f"it has no {SCORES}, which runs of surveysim 0.7 and later write"
+        return None, f"its directory has no {SCORES}, which runs of surveysim 0.7 and later write"
     try:
         result, scene, version = load_run(path / SCORES)
     except CheckpointError as error:

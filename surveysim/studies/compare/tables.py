@@ -49,6 +49,15 @@ def score_rows(compared: Content) -> Table:
     )
 
 
+def quantity_tables(compared: Content) -> list[Table]:
+    """Return the rows of `score_rows` for people, as a table for each quantity."""
+    tables = []
+    for place, entry in enumerate(compared["quantities"]):
+        columns = [item for item in score_rows(dict(compared) | {"quantities": [entry]}).columns if item.cells]
+        tables.append(Table(f"quantity-{place}", _heading(entry), tuple(columns[1:])))
+    return tables
+
+
 def _kinds(kinds: list[str], n: int) -> tuple[str, ...]:
     return ("", *kinds[1:]) * n
 
