@@ -32,6 +32,9 @@ from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import resolved, scene_hash
 from surveysim.studies.budget.result import BudgetResult
 from surveysim.studies.budget.summary import budget_summary
+from surveysim.studies.compare.comparison import RunComparison
+from surveysim.studies.compare.summary import comparison_summary
+from surveysim.studies.compare.tables import score_rows
 from surveysim.studies.optimise.result import OptimiseResult
 from surveysim.studies.optimise.summary import optimum_summary
 from surveysim.studies.optimise.tables import design_table, evaluation_table, front_table, optimum_table
@@ -178,6 +181,20 @@ def _of_optimum(result: OptimiseResult) -> Drawings:
     if simulated is not None and simulated.comparison.best:
         found["simulated"] = lambda path: draw_sweep(path, simulated)
     return found
+
+
+def write_comparison(directory: Path, result: RunComparison, figures: bool) -> None:
+    """Write table, figures, summary and report of a comparison of runs below `directory`."""
+    content = comparison_summary(result)
+    written = _write_table(directory / "tables" / "compare.ecsv", score_rows(content["compared"]))
+    drawn = partial(_of_comparison, result) if figures else None
+    write_summary(directory, content | made_by() | {"run": {"date": now()}}, [written], drawn)
+
+
+def _of_comparison(result: RunComparison) -> Drawings:
+    from surveysim.report.figures.compare import drawings
+
+    return drawings(result)
 
 
 def write_accuracy(directory: Path, result: "AccuracyResult", figures: bool) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.numbers import plural
 from surveysim.timestreams.response import present_steps
+from surveysim.timestreams.sharing import uses_table_groups
 
 
 def camera_lines(setup: Setup) -> Iterator[str]:
