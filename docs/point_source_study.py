@@ -1,10 +1,10 @@
-"""Fluxes of simulated sources through a cleaned survey: `python docs/point_source_study.py` writes the table of the page.
+"""Fluxes of simulated sources through a cleaned survey: `python docs/point_source_study.py` writes the page's table.
 
-Surveys of first light's field, each with its own noise, weather and scans, and with sources at random places. A matched
-filter measures each source, with a noise PSD and a transfer function from other surveys without sources.
+Each of 200 surveys of first light's field has its own noise, scans and camera angles, and sources at random places.
+A matched filter measures the sources. Its noise PSD and transfer functions come from other surveys.
 """
 
-import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,17 +15,15 @@ import mapmaker as mm
 from mapmaker.binning import weighted_mean
 from mapmaker.geometry import plane_directions
 from mapmaker.matched_filter import MatchedFilter
-from mapmaker.spectrum import mode_ell
-from surveysim.api import run
-from surveysim.reduction.setup import Setup
-from surveysim.runtime.engine import SERIAL
+from surveysim.reduction.setup import Setup, prepare
 from surveysim.scene.noise_and_sky import Sky
 from surveysim.scene.scene import Scene, load_scene
 from surveysim.survey.coadds import CoAdds
+from surveysim.survey.run import run_observations
 
 HERE = Path(__file__).parent
-SCENE, PAGE = HERE.parent / "scenarios" / "first_light.toml", HERE / "validation" / "calculators.md"
-BEGIN, END = "<!-- table of docs/point_source_study.py -->\n", "<!-- end of the sources -->\n"
+SCENE, PAGE = HERE.parent / "scenarios" / "first_light.toml", HERE / "validation" / "sources.md"
+BEGIN, END = "<!-- table of docs/point_source_study.py -->\n", "<!-- end of the table -->\n"
 KEYS: dict[str, Any] = {
     "observations": 4,
     "instrument.layout.rings": 3,
@@ -39,25 +37,34 @@ KEYS: dict[str, Any] = {
     "score.signal_sims.skies": 4,
     "score.signal_sims.observations": 4,
 }
-CALIBRATION, SKIES = 12, 200
+CLEANINGS = {
+    "average": {},
+    "planar": {},
+    "quadratic": {},
+    "pca": {"cleaning.sigma_cut": 2.5, "score.mask_separation_f_lambda": 0.8},
+}
+SKIES, CALIBRATION = range(200), range(1000, 1016)  # seeds
 SOURCES, PEAK_MK = 6, 10.0
-REACH, APART = 13.0, 5.0  # arcmin from the centre along each axis, and between sources
-CLEANINGS = ("average", "planar", "quadratic", "pca")
+REACH, APART = 13.0, 5.0  # arcmin: from the centre along each axis, and between sources
 ARCMIN = np.radians(1 / 60)
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """Measured amplitudes of sources over the true one, and their stated scatter."""
+    """Measured amplitudes of sources over the true one, and their stated scatter, (n,) each."""
 
     amplitude: np.ndarray
     scatter: np.ndarray
 
     @property
-    def bias(self) -> tuple[float, float]:
-        """Mean relative error, weighted by the stated scatter, and its own error."""
-        weight = 1 / self.scatter**2
-        return float(np.average(self.amplitude, weights=weight) - 1), float(weight.sum() ** -0.5)
+    def bias(self) -> float:
+        """Mean relative error, weighted by the stated scatter."""
+        return float(np.average(self.amplitude, weights=1 / self.scatter**2)) - 1
+
+    @property
+    def bias_error(self) -> float:
+        """Standard error of the bias."""
+        return float(np.sum(1 / self.scatter**2) ** -0.5)
 
     @property
     def chi2(self) -> float:
@@ -65,59 +72,58 @@ class Measurement:
         return float(np.mean(((self.amplitude - 1) / self.scatter) ** 2))
 
 
-def scene_of(cleaning: str, seed: int) -> Scene:
-    """Scene of one survey without sources."""
-    extra = {"cleaning.sigma_cut": 3.0} if cleaning == "pca" else {}
-    return load_scene(SCENE, KEYS | extra | {"cleaning.algorithm": cleaning, "seed": seed})
+@dataclass(frozen=True)
+class Survey:
+    """Map of a survey on the scored patch, its relative weight, and the places of its sources."""
+
+    setup: Setup
+    coadds: CoAdds
+    offsets: np.ndarray  # (n_source, 2) [rad] east and north
+
+    @property
+    def weight(self) -> np.ndarray:
+        """Weight of each pixel over the mean under the squared taper."""
+        region = self.setup.analysis.region
+        weight = self.coadds.weight[0][region.patch, region.patch]
+        return weight / np.average(weight, weights=region.taper**2)
+
+    @property
+    def image(self) -> np.ndarray:
+        """Co-added map of the patch."""
+        patch = self.setup.analysis.region.patch
+        return weighted_mean(self.coadds.sums[0], self.coadds.weight[0])[patch, patch]
+
+    @property
+    def noise_psd(self) -> np.ndarray:
+        """Mean PSD of the sign-flipped co-adds at weight 1."""
+        region = self.setup.analysis.region
+        weight = self.coadds.weight[0][region.patch, region.patch]
+        return self.psd(weighted_mean(self.coadds.flipped[:, 0], weight) * np.sqrt(self.weight)).mean(axis=0)
+
+    def psd(self, images: np.ndarray) -> np.ndarray:
+        """PSDs of maps of the patch."""
+        region = self.setup.analysis.region
+        return mm.map_psd(region.pad(images), region.padded_taper, self.setup.analysis.geometry.pixel_rad, region.rings)
+
+    @property
+    def places(self) -> dict[str, np.ndarray]:
+        """Rows and columns of the sources in the patch."""
+        centre, pixel = len(self.weight) / 2 - 0.5, self.setup.analysis.geometry.pixel_rad
+        return {"row": centre + self.offsets[:, 1] / pixel, "column": centre - self.offsets[:, 0] / pixel}
 
 
-def calibrated(cleaning: str, seeds: range) -> MatchedFilter:
-    """Matched filter from sign-flipped co-adds and signal simulations of surveys without sources."""
-    noise, cleaned, reference = [], [], []
-    for seed in seeds:
-        result = run(scene_of(cleaning, seed), engine=SERIAL)
-        setup, coadds = result.setup, result.coadds
-        region, root = setup.analysis.region, np.sqrt(relative_weight(setup, coadds))
-        of_map = region.padded_taper, setup.analysis.geometry.pixel_rad, region.rings
-        flips = weighted_mean(coadds.flipped[:, 0], patch_weight(setup, coadds))
-        noise.append(mm.map_psd(region.pad(flips * root), *of_map).mean(axis=0))
-        skies = weighted_mean(coadds.signal_maps[:, 0], coadds.signal_weight[0])
-        reference += list(region.pad(skies[:, 0]))
-        cleaned += list(region.pad(skies[:, 1]))
-    transfer = mm.measure_amplitude_transfer(
-        np.array(cleaned), np.array(reference), taper=of_map[0], pixel_rad=of_map[1], rings=of_map[2]
-    )
-    return mm.source_filter(
-        profile(setup),
-        np.mean(noise, axis=0),
-        transfer=transfer.transmission,
-        mask=region.selected,
-        rings=region.rings,
-        pixel_rad=of_map[1],
-    )
+def survey(cleaning: str, seed: int, *, sources: bool = True) -> Survey:
+    """Simulate the survey of a seed, with or without its sources."""
+    keys = KEYS | CLEANINGS[cleaning] | {"cleaning.algorithm": cleaning, "seed": seed}
+    scene, offsets = load_scene(SCENE, keys), draw_places(np.random.default_rng(seed))
+    if sources:
+        scene = scene.model_copy(update={"sky": sky_of(scene, offsets)})
+    setup = prepare(scene)
+    return Survey(setup, run_observations(setup, None), offsets)
 
 
-def profile(setup: Setup) -> np.ndarray:
-    """Transform of a source of 1 mK in beam and pixels, on the grid of the rings."""
-    n, pixel = len(setup.analysis.region.padded_taper), setup.analysis.geometry.pixel_rad
-    source = mm.gaussian_profile(mode_ell(n, n, pixel), setup.camera.focal_plane.fwhm_rad)
-    return source * np.sqrt(mm.mode_pixel_window(n, n, pixel, pixel))
-
-
-def patch_weight(setup: Setup, coadds: CoAdds) -> np.ndarray:
-    """Weight of the first data set on the scored patch."""
-    patch = setup.analysis.region.patch
-    return coadds.weight[0][patch, patch]
-
-
-def relative_weight(setup: Setup, coadds: CoAdds) -> np.ndarray:
-    """The same over its mean under the squared taper."""
-    weight, taper = patch_weight(setup, coadds), setup.analysis.region.taper
-    return weight / np.average(weight, weights=taper**2)
-
-
-def places(rng: np.random.Generator) -> np.ndarray:
-    """Offsets (n_source, 2) [rad] east and north of sources apart from each other."""
+def draw_places(rng: np.random.Generator) -> np.ndarray:
+    """Draw places (n_source, 2) [rad] of sources apart from each other."""
     found: list[np.ndarray] = []
     while len(found) < SOURCES:
         place = rng.uniform(-REACH, REACH, 2)
@@ -126,48 +132,106 @@ def places(rng: np.random.Generator) -> np.ndarray:
     return np.array(found) * ARCMIN
 
 
-def measured(cleaning: str, item: MatchedFilter, seeds: range) -> Measurement:
-    """Measure sources of all surveys of some seeds."""
-    parts = [_one(cleaning, item, seed) for seed in seeds]
-    return Measurement(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("amplitude", "scatter")))
-
-
-def _one(cleaning: str, item: MatchedFilter, seed: int) -> Measurement:
-    scene = scene_of(cleaning, seed)
-    offsets = places(np.random.default_rng(seed))
+def sky_of(scene: Scene, offsets: np.ndarray) -> Sky:
+    """Sky of sources alone."""
     geometry = mm.MapGeometry(scene.field.ra_rad, scene.field.dec_rad, ARCMIN, 1, 1)
-    directions = zip(*plane_directions(geometry, *offsets.T), strict=True)
-    sources = [{"ra": f"{ra:.12f} rad", "dec": f"{dec:.12f} rad", "peak": f"{PEAK_MK} mK"} for ra, dec in directions]
-    sky = Sky.model_validate({"cmb_band_power": "0 uK2", "point_sources": sources})
-    result = run(scene.model_copy(update={"sky": sky}), engine=SERIAL)
-    setup, coadds = result.setup, result.coadds
-    patch, pixel = setup.analysis.region.patch, setup.analysis.geometry.pixel_rad
-    image = weighted_mean(coadds.sums[0], coadds.weight[0])[patch, patch]
-    centre = len(image) / 2 - 0.5
-    found = mm.source_amplitudes(
-        item,
-        image,
-        relative_weight(setup, coadds),
-        row=centre + offsets[:, 1] / pixel,
-        column=centre - offsets[:, 0] / pixel,
+    sources = [
+        {"ra": f"{ra:.12f} rad", "dec": f"{dec:.12f} rad", "peak": f"{PEAK_MK} mK"}
+        for ra, dec in zip(*plane_directions(geometry, *offsets.T), strict=True)
+    ]
+    return Sky.model_validate({"cmb_band_power": "0 uK2", "point_sources": sources})
+
+
+def profile(setup: Setup) -> np.ndarray:
+    """Transform of a source of 1 mK in beam and pixels, on the grid of the rings."""
+    n, pixel = len(setup.analysis.region.padded_taper), setup.analysis.geometry.pixel_rad
+    source = mm.gaussian_profile(mm.mode_ell(n, n, pixel), setup.camera.focal_plane.fwhm_rad)
+    return source * np.sqrt(mm.mode_pixel_window(n, n, pixel, pixel))
+
+
+def uncleaned(item: Survey) -> np.ndarray:
+    """Map (n, n) of the sources in beam and pixels, without scans and cleaning."""
+    source, pixel = profile(item.setup), item.setup.analysis.geometry.pixel_rad
+    n = len(source)
+    up = np.exp(-2j * np.pi * np.outer(np.fft.fftfreq(n), item.places["row"]))
+    along = np.exp(-2j * np.pi * np.outer(item.places["column"], np.fft.rfftfreq(n)))
+    return np.fft.irfft2(source * (up @ along), (n, n)) * PEAK_MK / pixel**2
+
+
+def filters(cleaning: str, seeds: Iterable[int]) -> dict[str, MatchedFilter]:
+    """Make matched filters from simulated surveys, by what they know of the signal that cleaning leaves.
+
+    "all": nothing is lost. "power": the root of the transfer function of power, from CMB skies. "amplitude": the
+    amplitude of simulated sources, from surveys with and without them.
+    """
+    noise, skies, sources = [], [], []
+    for seed in seeds:
+        item, empty = survey(cleaning, seed), survey(cleaning, seed, sources=False)
+        pad = item.setup.analysis.region.pad
+        noise.append(empty.noise_psd)
+        skies.append(empty.psd(weighted_mean(empty.coadds.signal_maps[:, 0], empty.coadds.signal_weight[0])))
+        sources.append((pad(item.image - empty.image), uncleaned(item)))
+    region, pixel = item.setup.analysis.region, item.setup.analysis.geometry.pixel_rad
+    reference, cleaned = np.concatenate(skies).transpose(1, 0, 2)
+    left, whole = (np.array(maps) for maps in zip(*sources, strict=True))
+    power = mm.measure_transfer_function(cleaned, reference, region.rings.ell)
+    amplitude = mm.measure_amplitude_transfer(
+        left, whole, taper=region.padded_taper, pixel_rad=pixel, rings=region.rings
     )
-    return Measurement(found.amplitude / PEAK_MK, found.scatter / PEAK_MK)
+    transfers = {
+        "all": np.ones(len(region.rings.ell)),
+        "power": np.sqrt(power.transmission),
+        "amplitude": amplitude.transmission,
+    }
+    given = {"mask": region.selected, "rings": region.rings, "pixel_rad": pixel}
+    noise_psd = np.mean(noise, axis=0)
+    return {
+        name: mm.source_filter(profile(item.setup), noise_psd, transfer=transfer, **given)
+        for name, transfer in transfers.items()
+    }
+
+
+def measured(cleaning: str, items: dict[str, MatchedFilter], seeds: Iterable[int]) -> dict[str, Measurement]:
+    """Measure the sources of surveys of some seeds with each filter."""
+    parts: dict[str, list[Measurement]] = {name: [] for name in items}
+    for seed in seeds:
+        found = survey(cleaning, seed)
+        for name, item in items.items():
+            one = mm.source_amplitudes(item, found.image, found.weight, **found.places)
+            parts[name].append(Measurement(one.amplitude / PEAK_MK, one.scatter / PEAK_MK))
+    return {
+        name: Measurement(*(np.concatenate([vars(one)[key] for one in of]) for key in ("amplitude", "scatter")))
+        for name, of in parts.items()
+    }
+
+
+def row(cleaning: str) -> str:
+    """Row of the table for one cleaning."""
+    items = filters(cleaning, CALIBRATION)
+    found = measured(cleaning, items, SKIES)
+    amplitude = found["amplitude"]
+    cells = [
+        f"`{cleaning}`",
+        f"{1e3 * items['power'].sigma:.0f}",
+        f"{1e3 * items['amplitude'].sigma:.0f}",
+        f"{100 * found['all'].bias:+.1f}",
+        f"{100 * found['power'].bias:+.2f}",
+        f"{100 * amplitude.bias:+.2f}",
+        f"{100 * amplitude.bias_error:.2f}",
+        f"{amplitude.chi2:.3f}",
+    ]
+    return "| " + " | ".join(cells) + " |\n"
+
+
+def table() -> str:
+    """Markdown: depths, biases and chi^2 of each cleaning."""
+    head = (
+        "| cleaning | depth, sqrt(T) [uK] | depth, a [uK] | bias without [%] | sqrt(T) [%] | a [%] | error [%] "
+        "| chi^2, a |\n|---|---:|---:|---:|---:|---:|---:|---:|\n"
+    )
+    return head + "".join(map(row, CLEANINGS))
 
 
 if __name__ == "__main__":
-    import time
-
-    for cleaning in sys.argv[2:] or CLEANINGS:
-        t = time.process_time()
-        item = calibrated(cleaning, range(1000, 1000 + CALIBRATION))
-        m = measured(cleaning, item, range(int(sys.argv[1])))
-        print(
-            cleaning,
-            item.sigma,
-            m.bias,
-            m.chi2,
-            1 / np.mean(m.scatter),
-            np.percentile(m.scatter, [0, 50, 100]),
-            time.process_time() - t,
-            flush=True,
-        )
+    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
+    PAGE.write_text(f"{before}{BEGIN}\n{table()}\n{END}{rest.split(END)[1]}", encoding="utf-8")

@@ -6,6 +6,8 @@ from typing import Any
 
 from surveysim.api.band_sweeps import forecast_band_sweep, plan_band_sweep, run_band_sweep
 from surveysim.api.bands import forecast_bands, plan_bands, run_bands
+from surveysim.api.budgets import budget
+from surveysim.api.optimum import optimise
 from surveysim.api.surveys import PROCESSES, forecast_survey, plan_survey, run_survey, simulate_observation
 from surveysim.api.sweeps import forecast_single_sweep, plan_single_sweep, run_single_sweep
 from surveysim.forecasting.forecast import Forecast
@@ -20,15 +22,18 @@ from surveysim.studies.sweep.band_results import MultiBandSweepResult
 from surveysim.studies.sweep.bands import MultiBandSweep, is_band_sweep
 from surveysim.studies.sweep.plan import SweepPlan
 from surveysim.studies.sweep.result import SweepResult
+from surveysim.studies.sweep.rounds import CONFIDENCE
 from surveysim.survey.coadd_tree import CoAddTree
 
 __all__ = [
+    "budget",
     "forecast",
     "forecast_band_sweep",
     "forecast_bands",
     "forecast_single_sweep",
     "forecast_survey",
     "forecast_sweep",
+    "optimise",
     "plan",
     "plan_band_sweep",
     "plan_bands",
@@ -194,9 +199,14 @@ def run_sweep(
     figures: bool = True,
     keep_all: bool = False,
     progress: Callable[[int], None] = lambda done: None,
+    target_error: float | None = None,
+    confidence: float = CONFIDENCE,
     force: bool = False,
 ) -> SweepResult | MultiBandSweepResult:
     """Run all points of a sweep and compare them.
+
+    With a target error the points run in rounds. After each, only the points that may be the best get more
+    observations. Points that stop early are scored as the whole survey, judged by their first observations.
 
     Parameters
     ----------
@@ -213,7 +223,12 @@ def run_sweep(
     keep_all
         Write maps and figures of each point too.
     progress
-        Called with the number of finished points.
+        Called with the number of finished points, or with a target error of finished rounds of points.
+    target_error
+        Stop when the ratio of sigma(A) of each point that may be the best to the best one is known to this relative
+        error, or when the best point is known.
+    confidence
+        Probability from which on the best point is known, over all rounds together.
     force
         As for `run`.
 
@@ -225,6 +240,8 @@ def run_sweep(
     ------
     SceneError
         A point can't be run.
+    InputError
+        A limit makes no sense.
     OutputError, CheckpointError, EngineError
         As for `run`.
     """
@@ -237,6 +254,8 @@ def run_sweep(
         figures=figures,
         keep_all=keep_all,
         progress=progress,
+        target_error=target_error,
+        confidence=confidence,
         force=force,
     )
 

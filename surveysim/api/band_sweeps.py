@@ -10,6 +10,7 @@ from surveysim.api.surveys import PROCESSES
 from surveysim.api.sweeps import forecast_single_sweep, plan_single_sweep, run_single_sweep
 from surveysim.output.directory import FinishedError, begin, claimed, remove_nested, replacing
 from surveysim.output.expected_files import band_directory, of_band_sweep, of_sweep
+from surveysim.output.record import Results
 from surveysim.output.writer import write_band_sweep
 from surveysim.runtime.engine import Engine
 from surveysim.studies.sweep.axes import Sweep
@@ -17,6 +18,7 @@ from surveysim.studies.sweep.band_results import MultiBandSweepResult
 from surveysim.studies.sweep.bands import MultiBandSweep, load_band_sweep
 from surveysim.studies.sweep.plan import SweepPlan
 from surveysim.studies.sweep.result import SweepResult
+from surveysim.studies.sweep.rounds import CONFIDENCE, SweepLimits
 from surveysim.studies.sweep.summary import sweep_summary
 
 Progress = Callable[[int], None]
@@ -33,6 +35,8 @@ def run_band_sweep(
     keep_all: bool = False,
     progress: Progress = lambda done: None,
     display: Display | None = None,
+    target_error: float | None = None,
+    confidence: float = CONFIDENCE,
     force: bool = False,
 ) -> MultiBandSweepResult:
     """Run the sweep of each band; parameters and errors are those of `surveysim.run_sweep`.
@@ -49,11 +53,16 @@ def run_band_sweep(
             figures=figures,
             keep_all=keep_all,
             progress=shown,
+            target_error=target_error,
+            confidence=confidence,
             force=force,
         )
 
+    def results(item: Sweep) -> Results:
+        return of_sweep(item, "run", figures, None if target_error is None else SweepLimits(target_error, confidence))
+
     shown = display or (lambda item: nullcontext(progress))
-    return _each_band(sweep, out, work, shown, command="run", figures=figures, resume=resume, force=force)
+    return _each_band(sweep, out, work, shown, command="run", results=results, resume=resume, force=force)
 
 
 def forecast_band_sweep(
@@ -70,8 +79,11 @@ def forecast_band_sweep(
     def work(item: Sweep, directory: Path | None, shown: Progress) -> SweepResult:
         return forecast_single_sweep(item, directory, figures=figures, progress=shown, force=force)
 
+    def results(item: Sweep) -> Results:
+        return of_sweep(item, "forecast", figures)
+
     shown = display or (lambda item: nullcontext(progress))
-    return _each_band(sweep, out, work, shown, command="forecast", figures=figures, resume=False, force=force)
+    return _each_band(sweep, out, work, shown, command="forecast", results=results, resume=False, force=force)
 
 
 def plan_band_sweep(
@@ -89,7 +101,7 @@ def _each_band(
     display: Display,
     *,
     command: str,
-    figures: bool,
+    results: Callable[[Sweep], Results],
     resume: bool,
     force: bool,
 ) -> MultiBandSweepResult:
@@ -112,7 +124,7 @@ def _each_band(
         return result_of(None)
     with claimed(Path(out), of_band_sweep(sweep, command), force, resume) as place:
         for name, item in sweep.bands.items() if not resume else ():
-            with claimed(place.path / band_directory(name), of_sweep(item, command, figures), force):
+            with claimed(place.path / band_directory(name), results(item), force):
                 pass  # or an error, before any work
         begin(place, removed=lambda name: force)
         if force:

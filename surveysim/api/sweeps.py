@@ -1,6 +1,7 @@
 """The Python interface of sweeps: run, forecast and plan one."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
@@ -16,14 +17,19 @@ from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL, Engine, default_workers
 from surveysim.studies.sweep.axes import Sweep, load_sweep
 from surveysim.studies.sweep.comparison import (
+    Comparison,
     compare_forecasts,
     compare_runs,
     forecast_points,
     of_one_kind,
     run_points,
+    run_stages,
 )
 from surveysim.studies.sweep.plan import SweepPlan, make_sweep_plan
+from surveysim.studies.sweep.point_run import Stage
+from surveysim.studies.sweep.point_store import PointResult
 from surveysim.studies.sweep.result import SweepResult
+from surveysim.studies.sweep.rounds import CONFIDENCE, Rounds, SweepLimits, run_rounds
 
 DRAWS_SEED = 0  # seed for the probability of the best point of a sweep
 
@@ -37,22 +43,27 @@ def run_single_sweep(
     figures: bool = True,
     keep_all: bool = False,
     progress: Callable[[int], None] = lambda done: None,
+    target_error: float | None = None,
+    confidence: float = CONFIDENCE,
     force: bool = False,
 ) -> SweepResult:
     """Run all points of a sweep of one band; parameters and errors are those of `surveysim.run_sweep`."""
     start = perf_counter()
     sweep = _sweep(sweep)
-    workers = engine.workers_for(len(sweep.points))
+    limits = None if target_error is None else SweepLimits(target_error, confidence)
+    work = SweepWork(sweep, limits, engine, resume, progress)
 
     def result_of(kept: Path | None, writer: PointWriter | None) -> SweepResult:
-        points = of_one_kind(run_points(sweep, kept, engine, resume, progress, writer))
-        with threadpool_limits(1):  # the same bits on any machine
-            comparison = compare_runs(points, np.random.default_rng(DRAWS_SEED), sweep.reference)
-        return SweepResult(sweep, points, comparison, True, perf_counter() - start, workers, engine.kind)
+        points, rounds = work.run(kept, writer)
+        points = of_one_kind(points)
+        workers = engine.workers_for(len(sweep.points))
+        return SweepResult(
+            sweep, points, compared(sweep, points), True, perf_counter() - start, workers, engine.kind, rounds
+        )
 
     if out is None:
         return result_of(None, None)
-    with claimed(Path(out), of_sweep(sweep, "run", figures), force, resume) as place:
+    with claimed(Path(out), of_sweep(sweep, "run", figures, limits), force, resume) as place:
         writer = PointWriter(place.path.absolute(), keep_all, force)
         if not resume:
             check_points(writer, sweep)
@@ -63,6 +74,45 @@ def run_single_sweep(
         with replacing(place, over=lambda name: name.startswith("points/")) as new:
             write_sweep(new, prepare(sweep.points[0].scene), result, figures)
     return result
+
+
+@dataclass(frozen=True)
+class SweepWork:
+    """The points of a sweep, run whole or in rounds."""
+
+    sweep: Sweep
+    limits: SweepLimits | None
+    engine: Engine
+    resume: bool
+    progress: Callable[[int], None]
+
+    def run(self, kept: Path | None, writer: PointWriter | None) -> tuple[tuple[PointResult, ...], Rounds | None]:
+        """Run all points, or rounds of them until a limit is reached."""
+        if self.limits is None:
+            return run_points(self.sweep, kept, self.engine, self.resume, self.progress, writer), None
+        done = 0
+
+        def run(stages: Sequence[Stage], begun: bool) -> list[PointResult]:
+            nonlocal done
+            before, done = done, done + len(stages)
+            return run_stages(
+                self.sweep,
+                stages,
+                kept,
+                self.engine,
+                resume=self.resume,
+                begun=begun,
+                progress=lambda number: self.progress(before + number),
+                keep=writer,
+            )
+
+        return run_rounds(self.sweep, self.limits, run, lambda points: compared(self.sweep, of_one_kind(points)))
+
+
+def compared(sweep: Sweep, points: tuple[PointResult, ...]) -> Comparison:
+    """Compare points, with the same bits on any machine."""
+    with threadpool_limits(1):
+        return compare_runs(points, np.random.default_rng(DRAWS_SEED), sweep.reference, sweep.metric)
 
 
 def forecast_single_sweep(
@@ -79,8 +129,8 @@ def forecast_single_sweep(
 
     def result_of() -> SweepResult:
         points = forecast_points(sweep, progress)
-        comparison = compare_forecasts(points, sweep.reference)
-        return SweepResult(sweep, points, comparison, False, perf_counter() - start, 1, SERIAL.kind)
+        comparison = compare_forecasts(points, sweep.reference, sweep.metric)
+        return SweepResult(sweep, points, comparison, False, perf_counter() - start, 1, SERIAL.kind, None)
 
     if out is None:
         return result_of()

@@ -6,7 +6,7 @@ import typer
 from typer.core import TyperArgument, TyperCommand
 
 from surveysim import __version__
-from surveysim.cli import runs, scenes, studies
+from surveysim.cli import budgets, optimise, runs, scenes, studies
 from surveysim.runtime.printable import say
 
 app = typer.Typer(
@@ -18,6 +18,8 @@ app = typer.Typer(
 COMMANDS = (
     runs.run,
     runs.forecast,
+    budgets.budget,
+    optimise.optimise,
     studies.accuracy,
     runs.plan,
     studies.paper,

@@ -40,7 +40,8 @@ SCENE = typer.Argument(
 )
 SceneFile = Annotated[Path, SCENE]
 Overrides = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace the value of a key; may be repeated.")
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Replace the value of a key, or remove it: KEY=. May be repeated."),
 ]
 Workers = Annotated[
     int | None, typer.Option(metavar="N", help="Worker processes on this machine; by default one per core.")
@@ -71,13 +72,15 @@ def settings(given: list[str] | None, reference: str | None = None) -> dict[str,
 
 
 def setting(text: str) -> tuple[str, Any]:
-    """Parse ``KEY=VALUE``, with a TOML value or text without quotes."""
+    """Parse ``KEY=VALUE``, with a TOML value or text without quotes; ``KEY=`` gives None, which removes the key."""
     key, separator, value = text.partition("=")
     if not separator or not all(part.strip() for part in key.split(".")):
         raise SceneError(f"--set: found {text!r}; KEY=VALUE is expected")
     key, value = key.strip(), value.strip()
     if key.count(".") > DEEPEST:
         raise SceneError(f"--set: {key}: found {key.count('.') + 1} names; no key of a scene is that deep")
+    if not value:
+        return key, None
     try:
         parsed = tomllib.loads(f"value = {value}")
     except RecursionError:

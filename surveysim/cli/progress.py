@@ -123,10 +123,10 @@ def progress_display(
 
 @contextmanager
 def sweep_display(
-    name: str, work: Sequence[float] | np.ndarray, quiet: bool, workers: int = 1
+    name: str, work: Sequence[float] | np.ndarray, quiet: bool, workers: int = 1, what: str = "points"
 ) -> Iterator[Callable[[int], None]]:
     """Yield a function that shows the number of finished points during the block, and ends an interrupted sweep."""
-    with progress_display(name, work, quiet, "points", workers) as show:
+    with progress_display(name, work, quiet, what, workers) as show:
         yield stopping(lambda done: show(done, lambda: ""))
 
 

@@ -26,7 +26,14 @@ from surveysim.cli.options import (
     ready_setup,
     sweep_of,
 )
-from surveysim.cli.sweep_options import point_setup, refuse_for_sweep, refuse_keep_all
+from surveysim.cli.sweep_options import (
+    point_setup,
+    refuse_for_sweep,
+    refuse_keep_all,
+    sweep_limits,
+    sweep_limits_settings,
+    sweep_work,
+)
 from surveysim.output.names import default_directory
 from surveysim.runtime.errors import NotForecastableError
 
@@ -36,6 +43,7 @@ if TYPE_CHECKING:
     from surveysim.runtime.engine import Engine
     from surveysim.studies.sweep.axes import Sweep
     from surveysim.studies.sweep.bands import MultiBandSweep
+    from surveysim.studies.sweep.rounds import SweepLimits
     from surveysim.survey.coadd_tree import CoAddTree
 
 
@@ -53,7 +61,15 @@ def run(
     ] = False,
     no_figures: NoFigures = False,
     target_error: Annotated[
-        str | None, typer.Option(metavar="ERROR", help='Stop at this relative error of sigma(A), such as "3%".')
+        str | None,
+        typer.Option(
+            metavar="ERROR",
+            help='Stop at this relative error of sigma(A), or of the ratios of a sweep\'s best points, such as "3%".',
+        ),
+    ] = None,
+    confidence: Annotated[
+        str | None,
+        typer.Option(metavar="SHARE", help='Confidence in the best point of a sweep with a target error; "95%".'),
     ] = None,
     time_budget: Annotated[
         str | None, typer.Option(metavar="TIME", help='Stop after this time, such as "60 s".')
@@ -76,11 +92,13 @@ def run(
     if keep_all:
         refuse_keep_all(scene, point, sweep is not None)
     if sweep and point is None:
-        refuse_for_sweep(scene, save_timestreams, target_error, time_budget)
-        directory = out or default_directory(sweep.name, options.settings(settings, reference))
+        refuse_for_sweep(scene, save_timestreams, time_budget)
+        of_sweep = sweep_limits(target_error, confidence)
+        own = options.settings(settings, reference) | sweep_limits_settings(of_sweep)
         _run_sweep(
             sweep,
-            directory,
+            out or default_directory(sweep.name, own),
+            of_sweep,
             engine=with_engine,
             resume=resume,
             figures=not no_figures,
@@ -90,6 +108,8 @@ def run(
             quiet=quiet,
         )
         return
+    if confidence is not None:
+        fail(f"{scene}: --confidence: found a run of a scene; a sweep with --target-error is expected")
     limits = options.run_limits(target_error, time_budget)
     asked: dict[str, Any] = {"save_timestreams": save_timestreams, "figures": not no_figures, "force": force}
     if point is None and (scenes := bands_of(scene, settings)):
@@ -168,6 +188,7 @@ def _run_scene(
 def _run_sweep(
     sweep: "Sweep | MultiBandSweep",
     directory: Path,
+    limits: "SweepLimits | None",
     *,
     engine: "Engine",
     resume: bool,
@@ -188,11 +209,11 @@ def _run_sweep(
     if not quiet and engine.scheduler is None:
         announce_compilation(sweep.name)
     options: dict[str, Any] = {"engine": engine, "resume": resume, "figures": figures, "force": force}
-    options |= {"keep_all": keep_all}
+    options |= {"keep_all": keep_all, **({} if limits is None else vars(limits))}
 
     def display(item: "Sweep") -> "AbstractContextManager[Callable[[int], None]]":
-        work = [point.detector_samples for point in item.points]
-        return sweep_display(item.name, work, quiet, engine.workers_for(len(work)))
+        work, what = sweep_work(item, limits is not None)
+        return sweep_display(item.name, work, quiet, engine.workers_for(len(item.points)), what)
 
     with report_resumable_exit(sweep.path, directory):
         if not isinstance(sweep, Sweep):

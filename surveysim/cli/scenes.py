@@ -348,7 +348,9 @@ def _band_hint(content: Mapping[str, Any]) -> str:
 
 
 def report(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="An output directory of run, accuracy or paper.")],
+    directory: Annotated[
+        Path, typer.Argument(metavar="DIR", help="An output directory of run, budget, accuracy or paper.")
+    ],
     force: Force = False,
 ) -> None:
     """Write report.html of an output directory again.

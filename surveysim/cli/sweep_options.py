@@ -1,26 +1,69 @@
 """Options of `run` that sweeps take or refuse, and the point that --point selects."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from surveysim.cli.options import fail
+from surveysim.runtime.errors import InputError
 
 if TYPE_CHECKING:
     from surveysim.reduction.setup import Setup
     from surveysim.studies.sweep.axes import Sweep
     from surveysim.studies.sweep.bands import MultiBandSweep
+    from surveysim.studies.sweep.rounds import SweepLimits
 
 
-def refuse_for_sweep(scene: Path, save_timestreams: bool, target_error: str | None, time_budget: str | None) -> None:
+def refuse_for_sweep(scene: Path, save_timestreams: bool, time_budget: str | None) -> None:
     """Raise SceneError for an option that sweeps do not take."""
     reasons = {
         "--save-timestreams": save_timestreams and "which keeps none",
-        "--target-error": target_error is not None and "whose points are run whole",
-        "--time-budget": time_budget is not None and "whose points are run whole",
+        "--time-budget": time_budget is not None and "whose points run to the end of a round",
     }
     for option, reason in reasons.items():
         if reason:
             fail(f"{scene}: {option}: found a sweep, {reason}; a scene without [sweep] is expected")
+
+
+def sweep_limits(target_error: str | None, confidence: str | None) -> "SweepLimits | None":
+    """Parse the criteria that end a sweep early; None without a target error."""
+    from surveysim.scene.units import to_float
+    from surveysim.studies.sweep.rounds import CONFIDENCE, SweepLimits
+
+    if target_error is None:
+        if confidence is not None:
+            fail("--confidence: found no --target-error; both are expected")
+        return None
+    values = []
+    for name, text in (("--target-error", target_error), ("--confidence", confidence)):
+        try:
+            values.append(CONFIDENCE if text is None else to_float(text, ""))
+        except InputError as error:
+            fail(f"{name}: {error}")
+    try:
+        return SweepLimits(*values)
+    except InputError as error:
+        fail(str(error))
+
+
+def sweep_limits_settings(limits: "SweepLimits | None") -> dict[str, Any]:
+    """Return the limits of a sweep that differ from their defaults, for the name of its directory."""
+    from surveysim.studies.sweep.rounds import CONFIDENCE
+
+    if limits is None:
+        return {}
+    own = {} if limits.confidence == CONFIDENCE else {"confidence": limits.confidence}
+    return {"target_error": limits.target_error, **own}
+
+
+def sweep_work(sweep: "Sweep", in_rounds: bool) -> tuple[list[float], str]:
+    """Return the work of each point, or of each point in each round, and the word for these items."""
+    from surveysim.studies.sweep.rounds import round_ends
+
+    if not in_rounds:
+        return [point.detector_samples for point in sweep.points], "points"
+    ends = round_ends(sweep.points)
+    parts = [(end - begin) / ends[-1] for begin, end in zip((0, *ends), ends, strict=False)]
+    return [part * point.detector_samples for part in parts for point in sweep.points], "rounds of points, at most"
 
 
 def refuse_keep_all(scene: Path, point: int | None, is_sweep: bool) -> None:

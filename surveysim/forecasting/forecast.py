@@ -25,6 +25,7 @@ from surveysim.forecasting.observing_conditions import (
     survey_draws,
 )
 from surveysim.forecasting.pilot import KeptScans, predict_kept_scans
+from surveysim.forecasting.response_filters import CLOSED_STEPS
 from surveysim.forecasting.validity import EffectInputs, NeglectedEffect, neglected_effects
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.setup import Setup
@@ -32,6 +33,7 @@ from surveysim.runtime.errors import NotForecastableError
 from surveysim.survey.discarded_scans import REMEDY
 from surveysim.timestreams.component import present_components
 from surveysim.timestreams.expected_losses import sampled_share
+from surveysim.timestreams.response import present_steps
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -157,12 +159,15 @@ def can_forecast(setup: Setup) -> bool:
 
 
 def why_no_forecast(setup: Setup) -> str | None:
-    """Name a scan pattern, component or cleaning that has no closed form; None where all have one."""
+    """Name a scan pattern, component, step of the response or cleaning without a closed form; None if all have one."""
     if setup.observing.pattern.name not in PATTERNS:
         return f"scan: found {setup.observing.pattern.name!r}, a pattern without a closed form"
     for item in present_components(setup.scene):
         if item.name not in CLOSED_FORMS:
             return f"{item.name}: found a section without a closed form"
+    for step in present_steps(setup):
+        if step.name not in CLOSED_STEPS:
+            return f"{step.section}: found a section without a closed form"
     if not is_projection(setup.analysis.pipelines[0]):
         return f"cleaning by {setup.analysis.pipelines[0].label} is no projection"
     return None

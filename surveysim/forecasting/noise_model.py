@@ -42,6 +42,7 @@ from surveysim.runtime.errors import InsufficientDataError, NotForecastableError
 from surveysim.runtime.once import keep_last
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pointing_errors import smearing_variance
+from surveysim.timestreams.component import present_components
 from surveysim.timestreams.crosstalk import CrosstalkMatrix
 
 PATTERNS = ("raster",)  # scan patterns with a closed form: straight scans along RA and Dec in turn
@@ -140,8 +141,8 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
 
 def _closed_forms(bins: NoiseBins) -> dict[ClosedForm, Noise]:
     """Noise of each term of the components that the scene has a section for."""
-    there = [terms for name, terms in CLOSED_FORMS.items() if getattr(bins.scene, name)]
-    return {term: term(bins) for terms in there for term in terms}
+    present = {item.name for item in present_components(bins.scene)}
+    return {term: term(bins) for name, terms in CLOSED_FORMS.items() if name in present for term in terms}
 
 
 def is_projection(pipeline: CleaningPipeline) -> bool:

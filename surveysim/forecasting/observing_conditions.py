@@ -337,7 +337,7 @@ def removed_modes(
     fits = {"scan": 1.0, "observation": 1 / observing.scans.n_scans}
     # PCA fits a mode to each scan, even with known responsivities.
     share = fits["scan"] if pipeline.uses("pca") else fits.get(observing.scene.cleaning.responsivities, 0.0)
-    if observing.scene.atmosphere is None or not len(array.basis) or not share:
+    if not observing.scene.turbulent or not len(array.basis) or not share:
         return NO_FITTED_MODES
     seconds = samples_per_scan(observing.scans) / observing.scans.sample_rate_hz
     motion = np.median(np.abs(levels.motion))

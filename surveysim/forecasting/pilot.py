@@ -71,7 +71,7 @@ def predict_kept_scans(
     """
     whole = KeptScans(np.ones(len(weight)))
     fitted = tuple(pipeline for pipeline in pipelines if pipeline.takes_responsivities)
-    if setup.scene.atmosphere is None or setup.analysis.calibration is not None or not fitted:
+    if not setup.scene.turbulent or setup.analysis.calibration is not None or not fitted:
         return {pipeline.data_set: whole for pipeline in pipelines}
     unknown = {
         pipeline.data_set: replace(whole, error=np.inf) if pipeline in fitted else whole for pipeline in pipelines

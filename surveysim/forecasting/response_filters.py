@@ -13,6 +13,8 @@ from surveysim.telescope.scans import duration_s
 from surveysim.timestreams.responsivity import load_losses
 from surveysim.timestreams.time_constants import derivative_response
 
+# Steps of the response that forecasts have in closed form; a scene with another one can't be forecast.
+CLOSED_STEPS = ("pointing_errors", "responsivity", "responsivity_drift", "time_constants", "crosstalk", "deconvolution")
 Origin = Literal["light", "output"]  # of noise: seen by the detectors, or added at their output
 
 

@@ -128,7 +128,7 @@ def neglected_effects(setup: Setup, inputs: EffectInputs) -> tuple[NeglectedEffe
 def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEffect]:
     if inputs.pipeline.takes_responsivities:
         yield _discarded(inputs.kept)
-    if setup.scene.atmosphere is not None:
+    if setup.scene.turbulent:
         yield _repeated_layer(setup.scene.scan, setup.camera.radius_rad, inputs)
         if inputs.pipeline.steps != ("none",):
             yield _stripes(inputs)

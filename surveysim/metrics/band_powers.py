@@ -5,14 +5,18 @@ A bin of the user is a set of rings. Its amplitude ``A = sum_b w_b (P_b - N_b) /
 ``w_b = n_b M_b / V_b^2``, where V_b is the noise, or noise plus signal where the signal's own variance counts.
 """
 
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
 from mapmaker.bandpower import flat_band_power, flat_spectrum_psd
 from surveysim.metrics.map_noise import MapNoise, Quantity, ScoredMap, Spectrum
-from surveysim.scene.metrics import PIVOT_ELL, BandPowers
-from surveysim.scene.spectrum_table import read_spectrum
+from surveysim.runtime.table import Table, file_column
+from surveysim.scene.metrics import PIVOT_ELL, BandPowers, spectrum_table
+from surveysim.survey.scores import DataSetScore
 
 _CLUSTERED = -1.2  # power of ell of C_ell: Addison et al. 2012 (ApJ 752, 120), abstract
 
@@ -92,11 +96,56 @@ def _fiducial_psd(scored: ScoredMap, options: BandPowers) -> np.ndarray:
 
 def _spectrum(options: BandPowers) -> Spectrum:
     """C_ell [uK_CMB^2 sr] of the fiducial spectrum as a function of ell; 0 at ell = 0."""
-    if options.file is not None:
-        ell, power = read_spectrum("score.metrics.file", options.file)
+    if isinstance(options.spectrum, Path):
+        ell, power = spectrum_table(options.spectrum)
         return lambda at: flat_spectrum_psd(at) * np.interp(at, ell, power)
     index = {"flat": None, "poisson": 0.0, "clustered": _CLUSTERED}[options.spectrum]
     pivot = options.band_power_ukcmb2 * flat_spectrum_psd(np.array(PIVOT_ELL))
     if index is None:
         return lambda at: options.band_power_ukcmb2 * flat_spectrum_psd(at)
     return lambda at: np.where(at > 0, pivot * (np.maximum(at, 1e-9) / PIVOT_ELL) ** index, 0.0)
+
+
+def table(options: BandPowers, items: Mapping[str, tuple[MapNoise, DataSetScore]]) -> Table:
+    """Return a row for each bin with the uncertainties of all data sets, and the covariance of the bins.
+
+    Parameters
+    ----------
+    options
+        Options of the metric.
+    items
+        By data set the noise as quoted and the score with its noise realizations.
+    """
+    scored = next(iter(items.values()))[0].map
+    power = fiducial_powers(scored, options)
+    columns = [
+        file_column("ell_low", np.array([low for low, _ in options.bins])),
+        file_column("ell_high", np.array([high for _, high in options.bins])),
+        file_column("n_modes", bin_members(scored, options) @ scored.n_modes),
+        file_column("band_power", power, "uK2"),
+    ]
+    for name, (noise, item) in items.items():
+        for kind, matrix in covariances(noise, options, item).items():
+            scaled = matrix * np.outer(power, power)
+            columns.append(file_column(f"{kind}_{name}", np.sqrt(np.diag(scaled)), "uK2"))
+            for (low, high), row in zip(options.bins, scaled, strict=True):
+                columns.append(file_column(f"{kind}_covariance_{name}_{low}_{high}", row, "uK4"))
+    return Table(options.kind, "Band powers and their covariance", tuple(columns), meta={"temperature": "CMB"})
+
+
+def covariances(noise: MapNoise, options: BandPowers, item: DataSetScore) -> dict[str, np.ndarray]:
+    """Compute the covariances (n, n) of the bins' amplitudes: of noise alone, with the signal's own, and as measured.
+
+    The measured one is scaled from the simulated noise to the quoted one, in each bin.
+    """
+    used = item.weights[item.weights > 0]
+    common = float(np.sum(used**2) / np.sum(used) ** 2)
+    analytic = covariance(noise, options, own_variance=False)
+    simulated = replace(noise, noise_psd=item.noise_psd)
+    measured = measured_covariance(simulated, options, item.noise_psds, common)
+    scale = np.sqrt(np.diag(analytic) / np.diag(covariance(simulated, options, own_variance=False)))
+    return {
+        "sigma": analytic,
+        "total": covariance(noise, options, own_variance=True),
+        "measured": measured * np.outer(scale, scale),
+    }

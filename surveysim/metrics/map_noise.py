@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from mapmaker.matched_filter import profile_power
 from mapmaker.spectrum import ring_mean
 from mapmaker.transfer_function import pixel_window
 from surveysim.forecasting.forecast import DataSetForecast
@@ -13,8 +14,12 @@ from surveysim.forecasting.observing_conditions import mean_hits
 from surveysim.reduction.scored_region import mapped_signal
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.once import keep_last
+from surveysim.scene.units import BOLTZMANN_J_K
 from surveysim.survey.scores import DataSetScore
+from surveysim.telescope.beams import Beams
+from surveysim.telescope.diffraction import effective_area_m2
 from surveysim.telescope.scans import duration_s
+from surveysim.telescope.sensitivity import MJY
 
 Spectrum = Callable[[np.ndarray], np.ndarray]
 
@@ -40,13 +45,22 @@ class ScoredMap:
         Power window functions of beam and map pixels at `ell`.
     area_sr
         Effective area of the taper T, ``pixel^2 (sum T^2)^2 / sum T^4``: 4 pi f_sky of `n_modes`.
-    hours
-        Observing time of the survey: scans and turnarounds.
+    hours, scan_hours
+        Observing time of the survey: scans and turnarounds, and scans alone.
     ukcmb_per_mk
         CMB temperature [uK] per Rayleigh-Jeans temperature [mK].
     psd_of
         Function that maps a spectrum, C_ell as a function of multipoles, to its expected PSD (n_bin,) in the tapered
         map before scans and cleaning, in the unit of C_ell.
+    power_of
+        Function that maps the transform of a source, [sr] as a function of multipoles, to its power (n_bin,) [sr] in
+        beam and pixels (`mapmaker.matched_filter.profile_power`).
+    beam_sr
+        Solid angle of the instrument's beam.
+    mjy_per_mk
+        Flux density [mJy] of a point source per peak Rayleigh-Jeans temperature [mK] in the instrument's beam.
+    sz_ukcmb
+        CMB temperature [uK] per Compton parameter y.
     """
 
     ell: np.ndarray
@@ -59,8 +73,13 @@ class ScoredMap:
     pixel_window: np.ndarray
     area_sr: float
     hours: float
+    scan_hours: float
     ukcmb_per_mk: float
     psd_of: Callable[[Spectrum], np.ndarray]
+    power_of: Callable[[Spectrum], np.ndarray]
+    beam_sr: float
+    mjy_per_mk: float
+    sz_ukcmb: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,9 +164,21 @@ def scored_map(setup: Setup) -> ScoredMap:
         pixel_window=pixel_window(rings.ell, pixel_rad),
         area_sr=float(pixel_rad**2 * squares.sum() ** 2 / np.sum(squares**2)),
         hours=scene.observations * duration_s(scans) / 3600,
+        scan_hours=scene.observations * scans.n_scans * scans.scan_s / 3600,
         ukcmb_per_mk=1e3 * scene.instrument.cmb_per_rj,
         psd_of=partial(_spectrum_psd, setup),
+        power_of=partial(_source_power, analysis.beams, pixel_rad, rings.edges_ell),
+        beam_sr=2 * np.pi * scene.instrument.beam_fwhm_rad**2 / (8 * np.log(2)),
+        mjy_per_mk=2 * BOLTZMANN_J_K * 1e-3 / (effective_area_m2(scene) * MJY),
+        sz_ukcmb=1e6 * scene.instrument.band.sz_k_cmb,
     )
+
+
+def _source_power(beams: Beams, pixel_rad: float, edges_ell: np.ndarray, profile: Spectrum) -> np.ndarray:
+    def seen(ell: np.ndarray) -> np.ndarray:
+        return profile(ell) * np.sqrt(beams.window(ell) * pixel_window(ell, pixel_rad))
+
+    return profile_power(seen, edges_ell)
 
 
 def _spectrum_psd(setup: Setup, spectrum: Spectrum) -> np.ndarray:

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from surveysim.metrics import array_net, band_powers, flat_band_power, largest_scale, time_to
+from surveysim.metrics import array_net, band_powers, cluster, flat_band_power, largest_scale, point_source, time_to
 from surveysim.metrics.map_noise import MapNoise, Quantity
+from surveysim.runtime.table import Table
 from surveysim.scene import metrics as sections
 from surveysim.scene.analysis import Score
+from surveysim.survey.scores import DataSetScore
 
 MetricFunction = Callable[[MapNoise], tuple[Quantity, ...]]
 
@@ -23,24 +25,26 @@ class Metric:
         Class of its options.
     quantities
         Function of the noise of a map and the options; with `of_another` also of the function of another quantity.
-    title
-        Name for tables.
     of_another
         Whether the metric is about a quantity of another one, the option `of`.
+    table
+        Function that makes a table of its own from the options and, by data set, noise and score; None without one.
     """
 
     section: type[sections.Metric]
     quantities: Callable[..., tuple[Quantity, ...]]
-    title: str
     of_another: bool = False
+    table: Callable[[Any, Mapping[str, tuple[MapNoise, DataSetScore]]], Table] | None = None
 
 
 METRICS = {
-    "flat_band_power": Metric(sections.FlatBandPower, flat_band_power.quantities, "flat CMB band power"),
-    "band_powers": Metric(sections.BandPowers, band_powers.quantities, "band powers of a spectrum"),
-    "largest_scale": Metric(sections.LargestScale, largest_scale.quantities, "largest scale that is left"),
-    "array_net": Metric(sections.ArrayNet, array_net.quantities, "NET after cleaning"),
-    "time_to": Metric(sections.TimeTo, time_to.quantities, "time to reach a value", of_another=True),
+    "flat_band_power": Metric(sections.FlatBandPower, flat_band_power.quantities),
+    "band_powers": Metric(sections.BandPowers, band_powers.quantities, table=band_powers.table),
+    "largest_scale": Metric(sections.LargestScale, largest_scale.quantities),
+    "array_net": Metric(sections.ArrayNet, array_net.quantities),
+    "time_to": Metric(sections.TimeTo, time_to.quantities, of_another=True),
+    "point_source": Metric(sections.PointSourceDepth, point_source.quantities),
+    "cluster": Metric(sections.ClusterDepth, cluster.quantities),
 }
 
 
@@ -62,3 +66,9 @@ def metric_functions(score: Score) -> dict[str, MetricFunction]:
 def _quantity(functions: Mapping[str, MetricFunction], key: str) -> Callable[[MapNoise], Quantity]:
     metric, _, name = key.partition(".")
     return lambda noise: next(item for item in functions[metric](noise) if item.name == name)
+
+
+def metric_table_names(score: Score) -> dict[str, Any]:
+    """Return the metrics that have a table of their own, by the name of its file: their kind, and name if given."""
+    found = [item for item in score.metrics if METRICS[item.kind].table]
+    return {f"{item.kind}_{item.name}" if item.name else item.kind: item for item in found}

@@ -34,16 +34,18 @@ from surveysim.survey.checkpoint import NAME as CHECKPOINT
 NEW = ".surveysim.new"
 OTHERWISE = "--force replaces it, --out writes elsewhere"
 # The scene, and the tables that its keys of files name, with the suffix of the user's file.
-_SCENE = r"scene\.toml|(positions|passband|illumination|transmission|emissivity|opacity)(_\d+)?(\.[\w-]+)?"
+_SCENE = r"scene\.toml|(positions|passband|illumination|transmission|emissivity|opacity|spectrum)(_\d+)?(\.[\w-]+)?"
 # Names that any command writes: no other file is ever removed, even if the record lists it.
 _WRITTEN = re.compile(
     rf"{_SCENE}|"
     r"report\.html|(summary|scene)\.json|checkpoint\.h5|extremes\.ecsv"
     r"|(sweep|sweep_pairs|forecast|accuracy|bands)\.ecsv|table\d+(_[a-z]+)?\.ecsv|figure\d+\.(png|ecsv)"
     r"|(measurements|recovered)_[0-9]+\.ecsv|tables/\w+\.ecsv|maps/\w[\w.+~,=-]*\.fits|figures/\w+\.png"
-    r"|timestreams/\d+\.h5|scores\.npz|points/\d+(_\d+)?\.npz|points/\d+\.checkpoint\.h5"
+    r"|timestreams/\d+\.h5|scores\.npz|points/\d+(_\d+)?\.npz|points/\d+\.checkpoint\.h5|evaluations\.jsonl"
 )
-_SAYS_ITSELF = re.compile(r"checkpoint\.h5|points/\d+(_\d+)?\.npz|points/\d+\.checkpoint\.h5")  # they name their scene
+_SAYS_ITSELF = re.compile(  # they name their scene
+    r"checkpoint\.h5|points/\d+(_\d+)?\.npz|points/\d+\.checkpoint\.h5|evaluations\.jsonl"
+)
 _UNFINISHED_WORK = re.compile(rf"{_SAYS_ITSELF.pattern}|timestreams/\d+\.h5")
 _INPUT = re.compile(_SCENE)
 _PARTIAL = re.compile(r"(.+)\.(\d+)\.part")
@@ -210,7 +212,7 @@ def renewed(directory: Path, name: str, force: bool = False) -> Iterator[None]:
 
 def holds_work(directory: Path) -> bool:
     """Return whether a directory has files to resume from: a checkpoint, or points of a sweep."""
-    patterns = (CHECKPOINT, "points/*.npz", "points/*.checkpoint.h5")
+    patterns = (CHECKPOINT, "points/*.npz", "points/*.checkpoint.h5", "evaluations.jsonl")
     places = [directory, *directory.glob("bands/*")]
     return any(path.is_file() for place in places for pattern in patterns for path in place.glob(pattern))
 

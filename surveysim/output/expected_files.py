@@ -4,19 +4,35 @@ from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from typing import Any
 
+from surveysim.metrics.registry import metric_table_names
 from surveysim.output.record import Results
 from surveysim.output.scene_copy import bands_files, scene_files, sweep_files
 from surveysim.reduction.setup import Setup
 from surveysim.scene.bands import MultiBandScene, bands_hash
 from surveysim.scene.scene import Scene, scene_hash, survey_hash
+from surveysim.studies.budget.points import Budget
 from surveysim.studies.convergence.records import MOST_SEEDS, REFERENCE_ERROR, SUB_SURVEY
+from surveysim.studies.optimise.problem import Problem
+from surveysim.studies.optimise.store import FILE as EVALUATIONS
 from surveysim.studies.sweep.axes import Sweep, sweep_hash
 from surveysim.studies.sweep.bands import MultiBandSweep, band_sweep_hash
+from surveysim.studies.sweep.point_run import Stage
+from surveysim.studies.sweep.rounds import SweepLimits, round_ends
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 
 COMMON = ("summary.json", "scene.json", "report.html")
 SCORES = "scores.npz"
-_TABLES = ("observations", "timestream_psd", "scores", "map_psd", "alternatives", "load", "nep", "sensitivity")
+_TABLES = (
+    "observations",
+    "timestream_psd",
+    "scores",
+    "metrics",
+    "map_psd",
+    "alternatives",
+    "load",
+    "nep",
+    "sensitivity",
+)
 _FIGURES = (
     "timestream_psd",
     "map",
@@ -33,7 +49,7 @@ _PARTS = {"1": ("sites",), "2": ("photons",), "3": ("gains",)}  # parts of a tab
 def of_run(setup: Setup, figures: bool, timestreams: bool) -> Results:
     """Return the results of a run of a scene."""
     scene = setup.scene
-    names = [CHECKPOINT, *_run_names(), *_map_names(setup), *(_figure_names() if figures else ())]
+    names = [CHECKPOINT, *_run_names(scene), *_map_names(setup), *(_figure_names() if figures else ())]
     if timestreams:
         names += [f"timestreams/{number:04d}.h5" for number in range(scene.observations)]
     return Results("run", scene.name, scene_hash(scene), tuple(names), scene_files(scene), extends=survey_hash(scene))
@@ -42,12 +58,13 @@ def of_run(setup: Setup, figures: bool, timestreams: bool) -> Results:
 def of_point(setup: Setup, keep_all: bool) -> Results:
     """Return the results of a point of a sweep: those of a run, with maps and figures if all are kept."""
     scene = setup.scene
-    names = (*_run_names(), *((*_map_names(setup), *_figure_names()) if keep_all else ()))
+    names = (*_run_names(scene), *((*_map_names(setup), *_figure_names()) if keep_all else ()))
     return Results("run", scene.name, scene_hash(scene), names, scene_files(scene), extends=survey_hash(scene))
 
 
-def _run_names() -> tuple[str, ...]:
-    return (*COMMON, SCORES, *(f"tables/{name}.ecsv" for name in _TABLES))
+def _run_names(scene: Scene) -> tuple[str, ...]:
+    tables = (*_TABLES, *(metric_table_names(scene.score) if scene.score else ()))
+    return (*COMMON, SCORES, *(f"tables/{name}.ecsv" for name in tables))
 
 
 def _map_names(setup: Setup) -> tuple[str, ...]:
@@ -84,12 +101,41 @@ def of_band_sweep(sweep: MultiBandSweep, command: str) -> Results:
     return Results(command, sweep.name, band_sweep_hash(sweep), _OF_BANDS, bands_files(sweep))
 
 
-def of_sweep(sweep: Sweep, command: str, figures: bool) -> Results:
-    """Return the results of a sweep; simulated sweeps keep their points until the end."""
+def of_sweep(sweep: Sweep, command: str, figures: bool, limits: SweepLimits | None = None) -> Results:
+    """Return the results of a sweep; simulated sweeps keep the scores and sums of their points until the end."""
     names = [*COMMON, "sweep.ecsv", "sweep_pairs.ecsv", *(["figures/sweep.png"] if figures else [])]
     if command == "run":
-        names += [f"points/{point.number:03d}.{kind}" for point in sweep.points for kind in ("npz", "checkpoint.h5")]
-    return Results(command, sweep.name, sweep_hash(sweep), tuple(names), sweep_files(sweep))
+        names += _kept_points(sweep)
+    identity = sweep_hash(sweep)
+    if limits is not None:
+        stages = [Stage(point, end) for point in sweep.points for end in round_ends(sweep.points)]
+        names += [f"points/{stage.file}" for stage in stages if stage.observations < stage.point.scene.observations]
+        identity = sha256(f"{identity} {limits}".encode()).hexdigest()
+    return Results(command, sweep.name, identity, tuple(names), sweep_files(sweep))
+
+
+def of_budget(budget: Budget, simulate: bool, figures: bool) -> Results:
+    """Return the results of a budget; a simulated one keeps its points until the end."""
+    names = [*COMMON, *(f"tables/{name}.ecsv" for name in ("budget", "budget_points", "budget_pairs"))]
+    names += ["figures/budget.png"] if figures else []
+    if simulate:
+        names += _kept_points(budget.sweep)
+    command = "budget" if simulate else "budget --forecast"
+    return Results(command, budget.name, sweep_hash(budget.sweep), tuple(names), sweep_files(budget.sweep))
+
+
+def _kept_points(sweep: Sweep) -> list[str]:
+    return [f"points/{point.number:03d}.{kind}" for point in sweep.points for kind in ("npz", "checkpoint.h5")]
+
+
+def of_optimise(problem: Problem, figures: bool) -> Results:
+    """Return the results of a search for the best design; simulated designs are kept until the end."""
+    tables = ("optimum", "designs", "front", "evaluations", "simulated", "simulated_pairs")
+    names = [*COMMON, EVALUATIONS, *(f"tables/{name}.ecsv" for name in tables)]
+    names += [f"figures/{name}.png" for name in ("optimum", "simulated") if figures]
+    for number in range(problem.options.rivals + 2):
+        names += [f"points/{number:03d}.{kind}" for kind in ("npz", "checkpoint.h5")]
+    return Results("optimise", problem.scene.name, problem.identity, tuple(names), scene_files(problem.scene))
 
 
 def of_forecast(scene: Scene) -> Results:

@@ -22,8 +22,8 @@ def default_directory(name: str, settings: Mapping[str, Any]) -> Path:
     """Return the default directory of a scene's results, a separate one for each set of overrides.
 
     The name contains the overrides as ``key=value``, in the order of their keys. A long value, or one with characters
-    that some file systems refuse, is cut and followed by `~` and a part of its hash. The key ``name`` is left out, as
-    it is the scene's `name` already.
+    that some file systems refuse, is cut and followed by `~` and a part of its hash. A removed key has no value. The
+    key ``name`` is left out, as it is the scene's `name` already.
     """
     given = {key: settings[key] for key in sorted(settings) if key != "name"}
     whole = "+".join([name, *(f"{_key(key)}={_value(value)}" for key, value in given.items())])
@@ -43,6 +43,8 @@ def _value(value: Any) -> str:
 
 def _plain(value: Any) -> str | None:
     """Text of a value for a file name; None if it is not allowed, or looks like a value of another type."""
+    if value is None:
+        return ""
     if isinstance(value, bool | int | float):
         return str(value).lower().replace("+", "")
     if not isinstance(value, str) or not _VALUE.fullmatch(value) or _is_toml(value):

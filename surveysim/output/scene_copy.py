@@ -127,7 +127,7 @@ def _with(content: Mapping[str, Any], changes: Mapping[Keys, Any]) -> dict[str, 
 
 
 def _put(content: Any, keys: Keys, value: Any) -> None:
-    """Set one value, or take it out if it is None, which only Python can ask for."""
+    """Set one value, or take it out if it is None."""
     *sections, last = keys
     for section in sections:
         content = content.setdefault(section, {}) if isinstance(section, str) else content[section]

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from surveysim.results.metric_tables import metric_file_table
+from surveysim.results.metrics import metric_tables
 from surveysim.results.results import SurveyResult
 from surveysim.results.sensitivity import sensitivity_tables
 from surveysim.results.tables import alternative_table, score_table
@@ -26,6 +28,8 @@ def run_tables(result: SurveyResult, summary: dict[str, Any]) -> dict[str, Table
         reference = result.setup.scene.score.reference
         meta = {"temperature": "CMB", "reference": reference.source if reference else "none"}
         tables["scores"] = score_table(summary["scores"], meta=meta | _survey_part(result))
+        tables["metrics"] = metric_file_table(summary["metrics"], {"temperature": "CMB"} | _survey_part(result))
+        tables |= metric_tables(result.setup, result.scores)
         tables["map_psd"] = spectrum_table(result)
     if "sensitivity" in summary:
         tables |= {table.name: table for table in sensitivity_tables(summary["sensitivity"])}

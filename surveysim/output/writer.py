@@ -12,7 +12,7 @@ from mapmaker.binning import BinnedMap, write_fits, write_healpix
 from mapmaker.files import atomic_write, write_ecsv
 from surveysim.output.expected_files import SCORES, point_directory
 from surveysim.output.tables import forecast_spectra, run_tables
-from surveysim.reduction.setup import Setup
+from surveysim.reduction.setup import Setup, prepare
 from surveysim.report.html.page import REPORT, write_report
 from surveysim.results.bands import (
     MultiBandForecast,
@@ -29,6 +29,11 @@ from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.table import Table
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import resolved, scene_hash
+from surveysim.studies.budget.result import BudgetResult
+from surveysim.studies.budget.summary import budget_summary
+from surveysim.studies.optimise.result import OptimiseResult
+from surveysim.studies.optimise.summary import optimum_summary
+from surveysim.studies.optimise.tables import design_table, evaluation_table, front_table, optimum_table
 from surveysim.studies.sweep.band_results import MultiBandSweepResult, band_sweep_summary
 from surveysim.studies.sweep.point_run import point_result
 from surveysim.studies.sweep.point_store import save_point
@@ -110,7 +115,7 @@ def write_sweep(directory: Path, first: Setup, result: SweepResult, figures: boo
             entry["directory"] = point_directory(entry["point"])
     written = [_write_table(directory / "sweep.ecsv", sweep_table(content))]
     if of_pairs:
-        written.append(_write_table(directory / "sweep_pairs.ecsv", pair_table(of_pairs)))
+        written.append(_write_table(directory / "sweep_pairs.ecsv", pair_table(of_pairs, result.sweep.metric)))
     written.append(write_text(directory / "scene.json", resolved(first.scene) + "\n"))
     drawn = partial(_of_sweep, result) if figures and result.comparison.best else None
     write_summary(directory, content, written, drawn)
@@ -120,6 +125,57 @@ def _of_sweep(result: SweepResult) -> Drawings:
     from surveysim.report.figures.sweep import draw_sweep
 
     return {"sweep": lambda path: draw_sweep(path, result)}
+
+
+def write_budget(directory: Path, whole: Setup, result: BudgetResult, figures: bool) -> None:
+    """Write tables, figure, summary and report of a budget below `directory`, with its `whole` scene."""
+    from surveysim.studies.budget.tables import budget_table, pair_table, point_table
+
+    content = budget_summary(result) | {"left_out": left_out(whole)}
+    tables = {"budget": budget_table(content), "budget_points": point_table(content)}
+    if result.pairs:
+        tables["budget_pairs"] = pair_table(content)
+    written = [_write_table(directory / "tables" / f"{name}.ecsv", table) for name, table in tables.items()]
+    written.append(write_text(directory / "scene.json", resolved(whole.scene) + "\n"))
+    drawn = partial(_of_budget, result) if figures and result.is_scored else None
+    write_summary(directory, content, written, drawn)
+
+
+def _of_budget(result: BudgetResult) -> Drawings:
+    from surveysim.report.figures.budget import draw_budget
+
+    return {"budget": lambda path: draw_budget(path, result)}
+
+
+def write_optimum(directory: Path, result: OptimiseResult, figures: bool) -> None:
+    """Write tables, figures, summary and report of a search below `directory`, with the scene as it is."""
+    content = optimum_summary(result)
+    tables = {
+        "optimum": optimum_table(content),
+        "designs": design_table(content),
+        "evaluations": evaluation_table(result),
+        "front": front_table(content),
+    }
+    if result.simulated is not None:
+        tables["simulated"] = sweep_table(content["simulated"])
+        if of_pairs := pairs(result.simulated):
+            tables["simulated_pairs"] = pair_table(of_pairs)
+    there = {name: table for name, table in tables.items() if table is not None}
+    written = [_write_table(directory / "tables" / f"{name}.ecsv", table) for name, table in there.items()]
+    written.append(write_text(directory / "scene.json", resolved(result.problem.scene) + "\n"))
+    content |= {"left_out": left_out(prepare(result.problem.scene))}
+    write_summary(directory, content, written, partial(_of_optimum, result) if figures else None)
+
+
+def _of_optimum(result: OptimiseResult) -> Drawings:
+    from surveysim.report.figures.optimum import draw_optimum
+    from surveysim.report.figures.sweep import draw_sweep
+
+    found: Drawings = {"optimum": lambda path: draw_optimum(path, result)}
+    simulated = result.simulated
+    if simulated is not None and simulated.comparison.best:
+        found["simulated"] = lambda path: draw_sweep(path, simulated)
+    return found
 
 
 def write_accuracy(directory: Path, result: "AccuracyResult", figures: bool) -> None:

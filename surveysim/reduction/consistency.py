@@ -6,6 +6,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from mapmaker.bandpower import flat_spectrum_psd
+from mapmaker.cleaning import TEMPLATE_CLEANINGS
+from mapmaker.cleaning.responsivity import OBSERVATION, SCAN
 from mapmaker.geometry import MapGeometry, check_nside, plane_offsets
 from mapmaker.stream_psd import highest_frequency
 from mapmaker.timestreams import FocalPlane
@@ -44,10 +46,7 @@ def check_templates(scene: Scene, cam: Camera) -> None:
     section = scene.cleaning
     n_det = len(cam.focal_plane.x_rad)
     for key, steps in (("algorithm", section.algorithm), *(("compare", steps) for steps in section.compare)):
-        if scene.atmosphere is None and steps != ("none",):
-            # The fit calibrates detectors on their common signal; without one it discards every scan.
-            found = repr(steps[0]) if len(steps) == 1 else list(steps)
-            raise SceneError(f"cleaning.{key}: found {found} without [atmosphere]; 'none' is expected")
+        _check_fits(scene, key, steps)
         _check_count(scene, steps, n_det, f"cleaning.{key}")
         samples = math.floor(scene.scan.duration_s * scene.scan.sample_rate_hz + 1e-6)
         if "pca" in steps and samples <= (needed := needed_detectors(section, "pca")):
@@ -72,6 +71,20 @@ def check_templates(scene: Scene, cam: Camera) -> None:
                 f" {scene.scan.sample_rate_hz:g} Hz; {LEAST_CYCLES / HIGHEST_HZ:g} s or more at more than"
                 f" {2 * HIGHEST_HZ:g} Hz are expected to measure it"
             )
+
+
+def _check_fits(scene: Scene, key: str, steps: tuple[str, ...]) -> None:
+    """Raise SceneError for a cleaning without a layer, on which a fit calibrates the detectors."""
+    found = repr(steps[0]) if len(steps) == 1 else list(steps)
+    if scene.turbulent or steps == ("none",):
+        return
+    if scene.atmosphere is None:
+        raise SceneError(f"cleaning.{key}: found {found} without [atmosphere]; 'none' is expected")
+    if scene.cleaning.responsivities in (SCAN, OBSERVATION) and not set(TEMPLATE_CLEANINGS).isdisjoint(steps):
+        raise SceneError(
+            f"cleaning.responsivities: found {scene.cleaning.responsivities!r} with {found} and no turbulence;"
+            " 'known' or 'survey' is expected, as there is nothing to fit them on"
+        )
 
 
 def check_dead_time(scene: Scene, cam: Camera) -> None:

@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from surveysim.forecasting.forecast import DataSetForecast, Forecast
 from surveysim.metrics.errors import Estimate, estimates
-from surveysim.metrics.map_noise import MapNoise, noise_of_forecast, noise_of_score
-from surveysim.metrics.registry import MetricFunction, metric_functions
+from surveysim.metrics.map_noise import MapNoise, Quantity, noise_of_forecast, noise_of_score
+from surveysim.metrics.registry import METRICS, MetricFunction, metric_functions, metric_table_names
 from surveysim.reduction.setup import Setup
 from surveysim.results.control_variate import weather_factors
+from surveysim.runtime.table import Table
 from surveysim.survey.scores import DataSetScore
 
 
@@ -84,18 +84,33 @@ def _of_data_set(
     return found
 
 
-def values(functions: Mapping[str, MetricFunction], noise: MapNoise) -> dict[str, Any]:
+def values(functions: Mapping[str, MetricFunction], noise: MapNoise) -> dict[str, Quantity]:
     """Return the quantities of some metrics by key."""
     return {f"{name}.{item.name}": item for name, function in functions.items() for item in function(noise)}
+
+
+def metric_tables(setup: Setup, scores: Mapping[str, DataSetScore]) -> dict[str, Table]:
+    """Return the tables that metrics have of their own, by name of the file; none without scores."""
+    if not scores:
+        return {}
+    items = {name: (noise_of_score(setup, item)[0], item) for name, item in scores.items()}
+    found = metric_table_names(setup.scene.score)
+    return {name: METRICS[options.kind].table(options, items) for name, options in found.items()}
+
+
+def drawn_metrics(setup: Setup, found: Forecast) -> dict[str, dict[str, Quantity]]:
+    """Evaluate all metrics of the scene for a forecast, in the weather drawn, by data set and key."""
+    functions = metric_functions(setup.scene.score)
+    return {name: values(functions, noise_of_forecast(setup, item)) for name, item in found.scores.items()}
 
 
 def forecast_metrics(setup: Setup, found: Forecast) -> dict[str, dict[str, MetricForecast]]:
     """Evaluate all metrics of the scene for a forecast, by data set and key."""
     functions, factors = metric_functions(setup.scene.score), weather_factors(setup)
     metrics = {}
-    for name, item in found.scores.items():
-        drawn = values(functions, noise_of_forecast(setup, item))
-        everywhere = values(functions, noise_of_forecast(setup, item, factors[name])) if name in factors else drawn
+    for name, drawn in drawn_metrics(setup, found).items():
+        noise = noise_of_forecast(setup, found.scores[name], factors.get(name, 1.0))
+        everywhere = values(functions, noise) if name in factors else drawn
         metrics[name] = {
             key: MetricForecast(item.value, drawn[key].value, item.unit, item.lower_is_better, item.note)
             for key, item in everywhere.items()

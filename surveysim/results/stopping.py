@@ -37,10 +37,13 @@ class StoppingCriteria:
         Relative error of sigma(A).
     time_budget_s : float, optional
         Time [s] since the start.
+    in_rounds : bool
+        Whether the rounds of a sweep end the run.
     """
 
     target_error: float | None = None
     time_budget_s: float | None = None
+    in_rounds: bool = False
 
     def __post_init__(self) -> None:
         """Raise InputError for an error that is not between 0 and 1 or a time that is not above 0."""
@@ -103,7 +106,8 @@ def parsed_limits(target_error: str | None, time_budget: str | None) -> Stopping
             parsed.append(None if text is None else to_float(text, unit))
         except InputError as error:
             raise InputError(f"{name}: {error}") from None
-    return StoppingCriteria(*parsed)
+    target, budget = parsed
+    return StoppingCriteria(target, budget)
 
 
 def check_limits(setup: Setup, limits: StoppingCriteria) -> None:
@@ -144,9 +148,11 @@ def is_boundary(done: int) -> bool:
 
 
 def stop_reason(setup: Setup, limits: StoppingCriteria, done: int, found: Estimate | None) -> str:
-    """Return the reason for the end of a run: "all" observations, its "target" or its time "budget"."""
+    """Return the reason for the end of a run: "all" observations, its "target", its time "budget" or its "sweep"."""
     if done == setup.scene.observations:
         return "all"
+    if limits.in_rounds:
+        return "sweep"
     reached = found is not None and limits.target_error is not None and found.relative_error <= limits.target_error
     return "target" if reached and may_end(setup.scene, done) else "budget"
 

@@ -10,6 +10,7 @@ from surveysim.reduction.design_warnings import design_warnings
 from surveysim.reduction.figure_of_merit import TARGETS, best_places
 from surveysim.reduction.setup import Setup
 from surveysim.results.closure import closure_tests
+from surveysim.results.metric_tables import metric_entries
 from surveysim.results.results import SurveyResult, forecast_agreement, score_entries
 from surveysim.results.sensitivity import saturation_warnings, sensitivities, sensitivity_entries
 from surveysim.results.stages import absent_sections, left_out, stages_that_run
@@ -64,6 +65,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         expected = result.expected.scores if result.expected else {}
         content["estimate"] = known(vars(result.estimate))
         content["scores"] = score_entries(result)
+        content["metrics"] = metric_entries(result.metrics)
         content["error_budget"] = {name: known(_budget_entry(item)) for name, item in result.scores.items()}
         agreements = forecast_agreement(result)
         content["forecast_over_simulated"] = {name: known(vars(item)) for name, item in agreements.items()}
@@ -136,7 +138,10 @@ def _budget_entry(item: DataSetScore) -> dict[str, float]:
 
 def _stopped_entry(result: SurveyResult) -> dict[str, Any]:
     """Reason for the end of the run, its observations, and its relative error."""
-    estimate, limits = result.estimate, {k: v for k, v in vars(result.limits).items() if v is not None}
+    estimate, limits = result.estimate, {}
+    for name in ("target_error", "time_budget_s"):
+        if (value := getattr(result.limits, name)) is not None:
+            limits[name] = value
     entry: dict[str, Any] = {
         "reason": result.stopped,
         "observations_simulated": result.coadds.done,

@@ -1,7 +1,7 @@
 """Section [atmosphere]: the turbulent layer, its weather and the site."""
 
 from fractions import Fraction
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -38,6 +38,9 @@ class Atmosphere(Section):
     well, B2 follows these quantiles, at the rank of the drawn water. Without a site there is no water vapour.
     """
 
+    turbulence: Literal["layer", "none"] = "layer"
+    """"none" leaves the turbulent layer out of the time-streams. The weather, the opacity and the optical load stay as
+    they are, and so does excess noise that depends on B2."""
     spectral_index: Index
     """Spectral index b of the layer's power spectrum B2 sin(el)^(1 - b) alpha^-b; Kolmogorov turbulence has 11/3."""
     illuminated_aperture_m: Length = Field(alias="illuminated_aperture")

@@ -27,7 +27,7 @@ MAX_BANDS = 20
 # Sections and keys that are the same in all bands, and keys of a common section that bands may have.
 COMMON = (
     *("seed", "observations", "name", "title", "field", "scan", "schedule", "fixed_pointing", "sweep", "numerics"),
-    *("map", "site", "atmosphere", "instrument.camera_rotation_range"),
+    *("map", "site", "atmosphere", "instrument.camera_rotation_range", "optimise"),
 )
 OWN = ("atmosphere.b2", "atmosphere.b2_probabilities")
 

@@ -2,15 +2,20 @@
 
 import re
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from surveysim.scene.fields import PositiveBandPower, TableFile, number, whole
+from surveysim.runtime.errors import InputError
+from surveysim.scene.fields import PositiveAngle, PositiveBandPower, TableOrName, number, whole
 from surveysim.scene.section import Section
+from surveysim.scene.spectrum_table import read_spectrum
 from surveysim.scene.units import shown
 
 SIGMA_KEY = "flat_band_power.sigma"  # key of the score that every scene has
+SPECTRA = ("flat", "poisson", "clustered")
 PIVOT_ELL = 3000.0  # multipole at which named spectra have their band power
 _NAME = re.compile("[a-z][a-z0-9_]{0,39}")
 _MOST_EDGES = 101
@@ -57,14 +62,11 @@ class BandPowers(Metric):
     """Kind of the metric."""
     edges: Annotated[tuple[Annotated[int, *whole(0, 10_000_000)], ...], Field(min_length=2, max_length=_MOST_EDGES)]
     """Edges of the bins in multipole: increasing multiples of `score.ell_bin` up to `score.ell_max`."""
-    spectrum: Literal["flat", "poisson", "clustered"] | None = None
-    """Fiducial spectrum: "flat" has equal band powers, "poisson" equal C_ell, "clustered" C_ell as ell^-1.2.
-    Alternative: `file`."""
+    spectrum: TableOrName
+    """Fiducial spectrum: "flat" has equal band powers, "poisson" equal C_ell, "clustered" C_ell as ell^-1.2; or an ECSV
+    table with the columns `ell` and `cl`, C_ell in CMB temperature squared."""
     band_power_ukcmb2: PositiveBandPower | None = Field(alias="band_power", default=None)
-    """Required by `spectrum`: its band power ell (ell + 1) C_ell / 2 pi at ell = 3000."""
-    file: TableFile = None
-    """Fiducial spectrum: ECSV table with the columns `ell` and `cl`, C_ell in CMB temperature squared.
-    Alternative: `spectrum`."""
+    """Band power ell (ell + 1) C_ell / 2 pi of a named spectrum at ell = 3000; it is required there."""
 
     @property
     def bins(self) -> tuple[tuple[int, int], ...]:
@@ -79,13 +81,32 @@ class BandPowers(Metric):
 
     @model_validator(mode="after")
     def _one_spectrum(self) -> Self:
-        if (self.spectrum is None) == (self.file is None):
-            raise ValueError("spectrum: exactly one of 'spectrum' and 'file' is expected")
-        if (self.spectrum is None) != (self.band_power_ukcmb2 is None):
-            raise ValueError("band_power: it is expected together with 'spectrum', and only with it")
         if any(high <= low for low, high in self.bins):
             raise ValueError(f"edges: found {shown(list(self.edges))}; increasing multipoles are expected")
+        if not isinstance(self.spectrum, Path):
+            if self.spectrum not in SPECTRA:
+                names = ", ".join(map(repr, SPECTRA))
+                raise ValueError(f"spectrum: found {shown(self.spectrum)}; {names} or the name of a file is expected")
+            if self.band_power_ukcmb2 is None:
+                raise ValueError(f"band_power: missing; spectrum {self.spectrum!r} needs it")
+            return self
+        if self.band_power_ukcmb2 is not None:
+            raise ValueError("band_power: found together with a table, which sets it; one of the two is expected")
+        ell, _ = spectrum_table(self.spectrum)
+        if ell[0] > max(self.edges[0], 1) or ell[-1] < self.edges[-1]:
+            raise ValueError(
+                f"spectrum: {self.spectrum}: found ell from {ell[0]:g} to {ell[-1]:g}; a table that covers the bins,"
+                f" {self.edges[0]} to {self.edges[-1]}, is expected"
+            )
         return self
+
+
+def spectrum_table(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Read a table of a spectrum: multipoles and band powers [uK_CMB^2]; raises ValueError, as fields do."""
+    try:
+        return read_spectrum("spectrum", path)
+    except InputError as error:
+        raise ValueError(str(error)) from None
 
 
 class LargestScale(Metric):
@@ -116,7 +137,51 @@ class TimeTo(Metric):
     quantity_names: ClassVar[tuple[str, ...]] = ("hours",)
 
 
-METRIC_SECTIONS = (BandPowers, LargestScale, ArrayNet, TimeTo)
+class _SourceDepth(Metric):
+    """Base of the metrics of a matched filter."""
+
+    ell_min: Annotated[int, *whole(0, 10_000_000)] | None = Field(
+        default=None, json_schema_extra={"otherwise": "`score.ell_min`"}
+    )
+    """Lowest multipole that the matched filter uses, in whole bins of the score; the highest is `score.ell_max`."""
+
+
+class PointSourceDepth(_SourceDepth):
+    """Depth and mapping speed for point sources, by a matched filter of the map; without confusion by other sources."""
+
+    kind: Literal["point_source"]
+    """Kind of the metric."""
+    quantity_names: ClassVar[tuple[str, ...]] = ("depth_mjy", "depth_mk", "mapping_speed")
+
+
+class ClusterDepth(_SourceDepth):
+    """Depth for clusters of galaxies in the central Compton parameter y0, by a matched filter of the map; without
+    confusion by the CMB or galaxies."""
+
+    kind: Literal["cluster"]
+    """Kind of the metric."""
+    profile: Literal["arnaud", "beta"]
+    """Profile: "arnaud" is the universal pressure profile of Arnaud et al. (2010), "beta" an isothermal cluster."""
+    theta_500_rad: PositiveAngle | None = Field(alias="theta_500", default=None)
+    """Required by "arnaud": angle of R500."""
+    core_radius_rad: PositiveAngle | None = Field(alias="core_radius", default=None)
+    """Required by "beta": angle of the core radius theta_c in y0 (1 + theta^2 / theta_c^2)^((1 - 3 beta) / 2)."""
+    beta: Annotated[float, *number(0.4, 5)] | None = None
+    """Required by "beta": its exponent."""
+    quantity_names: ClassVar[tuple[str, ...]] = ("depth_y0",)
+
+    @model_validator(mode="after")
+    def _keys_of_profile(self) -> Self:
+        given = {"theta_500": self.theta_500_rad, "core_radius": self.core_radius_rad, "beta": self.beta}
+        needed = {"arnaud": ("theta_500",), "beta": ("core_radius", "beta")}[self.profile]
+        for key, value in given.items():
+            if (value is None) == (key in needed):
+                found = "missing; it is expected with" if value is None else "found with"
+                raise ValueError(f"{key}: {found} the profile {self.profile!r}")
+        return self
+
+
+METRIC_SECTIONS = (BandPowers, LargestScale, ArrayNet, TimeTo, PointSourceDepth, ClusterDepth)
 KIND_TAG = "kind="  # begins the part of an error's location that names the kind
 
 
@@ -138,7 +203,9 @@ AnyMetric = Annotated[
     Annotated[BandPowers, Tag("kind=band_powers")]
     | Annotated[LargestScale, Tag("kind=largest_scale")]
     | Annotated[ArrayNet, Tag("kind=array_net")]
-    | Annotated[TimeTo, Tag("kind=time_to")],
+    | Annotated[TimeTo, Tag("kind=time_to")]
+    | Annotated[PointSourceDepth, Tag("kind=point_source")]
+    | Annotated[ClusterDepth, Tag("kind=cluster")],
     Discriminator(_kind),
     BeforeValidator(_with_kind),
 ]
@@ -157,6 +224,8 @@ def check_metrics(metrics: tuple[Metric, ...], ell_bin: int, ell_max: int) -> No
             )
         if isinstance(item, BandPowers):
             _check_edges(item, ell_bin, ell_max)
+        if isinstance(item, _SourceDepth) and item.ell_min is not None:
+            _check_lowest(item.label, item.ell_min, ell_bin, ell_max)
 
 
 def _check_edges(item: BandPowers, ell_bin: int, ell_max: int) -> None:
@@ -165,6 +234,15 @@ def _check_edges(item: BandPowers, ell_bin: int, ell_max: int) -> None:
         raise ValueError(
             f"metrics: found the edge {wrong[0]} in {item.label!r}; multiples of ell_bin = {ell_bin} up to"
             f" {ell_max // ell_bin * ell_bin} are expected"
+        )
+
+
+def _check_lowest(label: str, ell_min: int, ell_bin: int, ell_max: int) -> None:
+    most = ell_max // ell_bin * ell_bin - ell_bin
+    if ell_min > most:
+        raise ValueError(
+            f"metrics: found ell_min = {ell_min} in {label!r}; {most} or less is expected, which leaves a bin of"
+            f" {ell_bin} below {ell_max}"
         )
 
 

@@ -17,6 +17,7 @@ from surveysim.scene.units import BOLTZMANN_J_K, CMB_TEMPERATURE_K, PLANCK_J_S, 
 KEY = "instrument.passband"
 _MOST_NODES = 64  # of a segment: exact to rounding for a smooth integrand over any top hat
 _FEWEST_NODES = 3
+_X_PER_HZ = PLANCK_J_S / (BOLTZMANN_J_K * CMB_TEMPERATURE_K)
 
 
 @dataclass(frozen=True)
@@ -80,9 +81,26 @@ class Passband:
         ``x^2 e^x / (e^x - 1)^2`` with ``x = h nu / k T_CMB``. (The ratio of the BLIP figures that section 1.1 of the
         paper quotes in both temperatures is 1.53.)
         """
+        return float(1 / self._rj_per_cmb.sum())
+
+    @property
+    def sz_k_cmb(self) -> float:
+        """CMB temperature [K] of the thermal Sunyaev-Zeldovich effect per Compton parameter y: -2.67 at 143 GHz.
+
+        The mean over the band of ``T_CMB (x coth(x / 2) - 4)``, weighted by Rayleigh-Jeans temperature per CMB
+        temperature (Carlstrom et al. 2002, ARA&A 40, 643, eq. 2 and 3). It is not relativistic: the electrons of
+        massive clusters change it by some per cent.
+        """
+        frequency, _ = self.nodes
+        x = _X_PER_HZ * frequency
+        return float(CMB_TEMPERATURE_K * self.cmb_per_rj * np.sum(self._rj_per_cmb * (x / np.tanh(x / 2) - 4)))
+
+    @property
+    def _rj_per_cmb(self) -> np.ndarray:
+        """Rayleigh-Jeans temperature per CMB temperature at the nodes, times their weights."""
         frequency, weight = self.nodes
-        x = PLANCK_J_S * frequency / (BOLTZMANN_J_K * CMB_TEMPERATURE_K)
-        return float(1 / np.sum(weight * np.exp(x) * (x / np.expm1(x)) ** 2))
+        x = _X_PER_HZ * frequency
+        return weight * np.exp(x) * (x / np.expm1(x)) ** 2
 
     def cell_shares(self, edge_hz: np.ndarray) -> np.ndarray:
         """Compute the shares (m,) of the band in cells between increasing edges (m + 1,) [Hz].

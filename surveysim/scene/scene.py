@@ -23,13 +23,14 @@ from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.text_files import nested_deeper, one_line, read_text
 from surveysim.scene.analysis import Cleaning, MapSection, Score
 from surveysim.scene.assumed_values import assumed_of_site, assumed_values
-from surveysim.scene.error_lines import HIDDEN_KEYS, error_lines, unknown_key, validation_lines
+from surveysim.scene.error_lines import HIDDEN_KEYS, allowed_keys, error_lines, unknown_key, validation_lines
 from surveysim.scene.fields import Line, whole
 from surveysim.scene.instrument import Instrument
 from surveysim.scene.noise_and_sky import ONE_NOISE, StreamSections
 from surveysim.scene.numerics import Numerics
 from surveysim.scene.observing import MIN_SAMPLES, FieldSection, FixedPointing, Scan, Schedule
 from surveysim.scene.optics import Optics
+from surveysim.scene.optimise import Optimise
 from surveysim.scene.place import Place, SiteSection, own_place, shipped_place, with_place
 from surveysim.scene.readout import ReadoutSections
 from surveysim.scene.renamed_keys import renamed_lines
@@ -98,6 +99,7 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
     score: Score | None = None
     """Without it there are maps, but no uncertainties."""
     numerics: Numerics = Numerics()
+    optimise: Optimise | None = None
     assumed: SkipJsonSchema[tuple[str, ...]] = ()
     band: SkipJsonSchema[CameraBand | None] = None
     _origin: Origin | None = PrivateAttr(None)
@@ -123,6 +125,11 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
         if self.atmosphere is None or self.atmosphere.site is None:
             return None
         return own_place(self.site) if self.site else shipped_place(self.atmosphere.site)
+
+    @property
+    def turbulent(self) -> bool:
+        """Whether the time-streams have a turbulent layer."""
+        return self.atmosphere is not None and self.atmosphere.turbulence != "none"
 
     @model_validator(mode="before")
     @classmethod
@@ -217,7 +224,8 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     path
         Path of a scene file, or name of a scene (`find_scene`).
     overrides
-        Values by dotted key, such as ``{"scan.speed": "4 arcmin / s"}``; astropy quantities are allowed.
+        Values by dotted key, such as ``{"scan.speed": "4 arcmin / s"}``; astropy quantities are allowed. None removes a
+        key or a section.
 
     Returns
     -------
@@ -273,7 +281,8 @@ def scene_data(path: Path, text: str, content: Mapping[str, Any], overrides: Map
         if hidden in given:
             raise SceneError(f"{path}: {hidden}: {unknown_key(hidden, Scene)}")
     assumed = {line: line.partition(" = ")[0] for line in assumed_values(text)}
-    data["assumed"] = [line for line, key in assumed.items() if key not in overrides and not key.startswith("sweep.")]
+    replaced = tuple(f"{key}." for key in overrides)
+    data["assumed"] = [line for line, key in assumed.items() if not f"{key}.".startswith((*replaced, "sweep."))]
     for key, value in overrides.items():
         _override(path, data, key, value)
     if "name" not in data:
@@ -321,7 +330,7 @@ def survey_hash(scene: Scene) -> str:
 
 def _content(scene: Scene, excluded: Mapping[str, Any]) -> dict[str, Any]:
     """Values of a scene without some keys; of other bands all that the results depend on."""
-    content = scene.model_dump(exclude={**excluded, "band": True})
+    content = scene.model_dump(exclude={**excluded, "band": True, "optimise": True})
     if scene.band is None:
         return content
     return content | {"band": scene.band.name, "others": [_of_other(scene, other, excluded) for other in scene.others]}
@@ -344,15 +353,30 @@ def _hash(content: dict[str, Any]) -> str:
 def resolved(scene: Scene) -> str:
     """JSON text of a scene in internal units, with units in the names."""
     bands = {"band": scene.band_name, "other_bands": [item.band_name for item in scene.others]} if scene.band else {}
-    return strict_json(scene.model_dump(mode="json", exclude={"band"}) | bands, indent=1, sort_keys=True)
+    return strict_json(scene.model_dump(mode="json", exclude={"band", "optimise"}) | bands, indent=1, sort_keys=True)
 
 
 def _override(path: Path, data: dict, key: str, value: Any) -> None:
     *sections, last = key.split(".")
     if len(sections) >= MAX_DEPTH or nested_deeper(value, MAX_DEPTH):
         raise SceneError(f"{path}: {shown(key)}: nested too deeply; a key of a scene is expected")
+    if value is None and sections[:1] != ["bands"]:  # a band may be without what others have
+        _remove(path, data, key)
+        return
     for name in sections:
         data = data.setdefault(name, {})
         if not isinstance(data, dict):
             raise SceneError(f"{path}: {key}: {name!r} is not a section")
     data[last] = value
+
+
+def _remove(path: Path, data: dict, key: str) -> None:
+    """Remove a key or a section; one that is not there stays away, an unknown one is an error."""
+    *sections, last = key.split(".")
+    if last not in allowed_keys(sections, Scene):
+        raise SceneError(f"{path}: {shown(key)}: {unknown_key(key, Scene, HIDDEN_KEYS)}")
+    for name in sections:
+        data = data.get(name, {})
+        if not isinstance(data, dict):
+            return
+    data.pop(last, None)

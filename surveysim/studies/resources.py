@@ -188,7 +188,7 @@ def _timed(work: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
 
 def _windiest(setup: Setup) -> int:
     """Observation with the fastest motion of the layer, hence the longest strip; the first without a layer."""
-    if setup.scene.atmosphere is None:
+    if not setup.scene.turbulent:
         return 0
     weathers = [observation_weather(setup, observation) for observation in range(setup.scene.observations)]
     return int(np.argmax([weather.wind_speed_rad_s for weather in weathers]))

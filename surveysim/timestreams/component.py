@@ -40,6 +40,8 @@ class StreamComponent:
     flag
         Function that flags the samples of a block that the component loses in flags (n_det, n_samp), in place; None for
         a component that loses none.
+    switch
+        Key of the section whose value "none" turns the component off, while all else that the section sets stays.
     """
 
     name: str
@@ -49,6 +51,12 @@ class StreamComponent:
     through_response: bool
     absence: str | None = ""
     flag: Callable[[np.ndarray, ObservedBlock], None] | None = None
+    switch: str = ""
+
+    def is_present(self, scene: Scene) -> bool:
+        """Tell whether the scene has the section, and its switch is on."""
+        section = getattr(scene, self.name)
+        return bool(section) and (not self.switch or getattr(section, self.switch) != "none")
 
 
 # The order of additions is part of a scene's results, as its seed is: float32 sums depend on it. Components that pass
@@ -61,6 +69,7 @@ COMPONENTS = (
         "a frozen layer that the wind moves through the beams",
         through_response=True,
         absence=": no layer, no weather",
+        switch="turbulence",
     ),
     StreamComponent(
         "excess",
@@ -139,7 +148,7 @@ COMPONENTS = (
 
 def present_components(scene: Scene) -> tuple[StreamComponent, ...]:
     """Components that the scene has a section for, in the order of addition."""
-    return tuple(item for item in COMPONENTS if getattr(scene, item.name))
+    return tuple(item for item in COMPONENTS if item.is_present(scene))
 
 
 def loses_samples(scene: Scene) -> bool:

@@ -99,8 +99,8 @@ def screen(scene: Scene) -> "Screen":
 
 
 def layer_strips(scene: Scene, extent: CameraExtent) -> "SlantStrips | None":
-    """Make the cache of strips of the layer, still empty; None without an atmosphere."""
-    if scene.atmosphere is None:
+    """Make the cache of strips of the layer, still empty; None without a layer."""
+    if not scene.turbulent:
         return None
     from surveysim.atmosphere.screen_simulation import SlantStrips
 

@@ -29,6 +29,19 @@ from tests.unit.paper.test_reproduce import SCENE as PAPER_SCENE
 
 pytestmark = pytest.mark.docs
 PAGE = documented(ROOT / "docs" / "reference" / "files.md")
+# With a note: the target is out of reach.
+METRICS = """
+[[score.metrics]]
+kind = "band_powers"
+edges = [2000, 6000, 12000]
+spectrum = "flat"
+band_power = "1000 uK2"
+
+[[score.metrics]]
+kind = "time_to"
+of = "band_powers.amplitude"
+value = 1e-6
+"""
 # Every optional thing at once.
 RICH_SCENE = (
     without_sections(SMALL_SCENE, "photon", "detector")
@@ -42,6 +55,7 @@ RICH_SCENE = (
     )
     .replace('pixel = "30 arcsec"', 'pixel = "30 arcsec"\nhealpix_nside = 1024')
     + '\n[score.reference]\nsource = "nowhere"\nvalues = { actual = "270 uK2" }\n'
+    + METRICS
     + PHOTON
     + CAMERA
     + BOLOMETER
@@ -49,6 +63,9 @@ RICH_SCENE = (
 TURBULENT, CALM = ("[1000, 2800, 9800] mK2 rad(-5/3)", "[10, 30, 980] mK2 rad(-5/3)")
 # Points without a score, and one of few scans that loses some.
 SWEEP = f"""
+[[score.metrics]]
+kind = "largest_scale"
+
 [sweep]
 observations = [4, 1]
 

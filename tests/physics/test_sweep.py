@@ -9,11 +9,14 @@ import pytest
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.transfer_function import TransferFunction
 from surveysim import load_sweep, run_sweep
+from surveysim.metrics.errors import Estimate
 from surveysim.reduction.data_set import DataSetKind
+from surveysim.results.metrics import MetricResult
 from surveysim.runtime.engine import SERIAL
+from surveysim.scene.metrics import SIGMA_KEY
 from surveysim.studies.sweep.comparison import compare_forecasts, compare_runs, forecast_points
 from surveysim.studies.sweep.point_store import PointResult
-from surveysim.survey.error_modes import error_modes
+from surveysim.survey.error_modes import error_modes, sigma_response
 from surveysim.survey.scores import DataSetScore
 from tests.scenes import SMALL_SCENE, without_sections
 from tests.seeds import shared_expectations
@@ -123,7 +126,7 @@ def test_paired_error_of_a_small_change(tmp_path, monkeypatch):
 
     Detectors share a tenth of the photon noise, so maps of the points are not proportional.
     """
-    monkeypatch.setattr("surveysim.studies.sweep.comparison.run_forecast", lambda setup, coadds: None)
+    monkeypatch.setattr("surveysim.results.results.run_forecast", lambda setup, coadds: None)
     log_ratio, paired, independent = seeds_of(tmp_path, NO_AIR, MORE_DETECTOR_NOISE, 24)
     assert_right(log_ratio, paired)
     assert np.sqrt(np.mean(paired**2)) < np.sqrt(np.mean(independent**2)) / 3
@@ -136,7 +139,7 @@ def test_paired_error_of_a_small_change(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_ratio_of_proportional_maps_is_exact(tmp_path, monkeypatch):
     """White noise of photons and of detectors is one draw: 5 and 6.25 mK^2/Hz make proportional float32 maps."""
-    monkeypatch.setattr("surveysim.studies.sweep.comparison.run_forecast", lambda setup, coadds: None)
+    monkeypatch.setattr("surveysim.results.results.run_forecast", lambda setup, coadds: None)
     scene = NO_AIR.replace("coherent_fraction = 0.1", "coherent_fraction = 0")
     log_ratio, paired, independent = seeds_of(tmp_path, scene, MORE_DETECTOR_NOISE, 2)
     np.testing.assert_allclose(log_ratio, np.log(1.25), atol=1e-5)
@@ -146,7 +149,7 @@ def test_ratio_of_proportional_maps_is_exact(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_paired_error_where_little_is_common(tmp_path, monkeypatch):
     """Another scan speed: other maps of the same streams and skies."""
-    monkeypatch.setattr("surveysim.studies.sweep.comparison.run_forecast", lambda setup, coadds: None)
+    monkeypatch.setattr("surveysim.results.results.run_forecast", lambda setup, coadds: None)
     table = '"scan.speed" = ["4 arcmin / s", "4.5 arcmin / s"]'
     log_ratio, paired, independent = seeds_of(tmp_path, NO_AIR, table, 60)
     assert_right(log_ratio, paired)
@@ -167,7 +170,7 @@ def test_paired_error_in_varying_weather(tmp_path, monkeypatch, table, gained):
 
     Ratios of surveys that lose no scans have no long tails: an excess kurtosis of -0.5 +- 0.8 over 40 seeds.
     """
-    monkeypatch.setattr("surveysim.studies.sweep.comparison.run_forecast", lambda setup, coadds: None)
+    monkeypatch.setattr("surveysim.results.results.run_forecast", lambda setup, coadds: None)
     log_ratio, paired, independent = seeds_of(tmp_path, AIR, table, 30)
     assert_right(log_ratio, paired)
     assert np.sqrt(np.mean(paired**2)) < np.sqrt(np.mean(independent**2)) / gained
@@ -189,4 +192,6 @@ def test_best_of_equal_toy_surveys_is_drawn_by_lot():
 
 
 def _point(item):
-    return PointResult(100, {"actual": item}, {}, [], [], {}, [], "same", "", 0.0)
+    found = Estimate(item.band.sigma_ukcmb2, sigma_response(item))
+    metrics = {"actual": {SIGMA_KEY: MetricResult(found, found, "uK2", True, None, "")}}
+    return PointResult(100, len(item.weights), {"actual": item}, {}, [], [], {}, [], "same", "", 0.0, metrics, {})

@@ -1,4 +1,4 @@
-"""Figure of a sweep: sigma(A) along the first axis, and its ratio to the reference point with paired errors."""
+"""Figure of a sweep: its metric along the first axis, and the ratio to the reference point with paired errors."""
 
 import re
 from pathlib import Path
@@ -10,7 +10,10 @@ from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.report.figures.layout import lay_out
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.report.figures.style import plain, save
+from surveysim.results.metric_tables import with_unit
 from surveysim.studies.sweep.axes import Axis, numbers_of
+from surveysim.studies.sweep.comparison import SIGMA_A, Compared
+from surveysim.studies.sweep.point_store import PointResult
 from surveysim.studies.sweep.result import SweepResult
 
 COLOURS = ("black", "vermilion", "blue", "green", "purple", "orange", "sky")
@@ -39,7 +42,7 @@ def draw(result: SweepResult) -> Figure:
 
 
 def sweep_figure(result: SweepResult) -> PaperFigure:
-    """Draw two panels: sigma(A) of the actual data with forecasts as lines, and ratios to the reference point.
+    """Draw two panels: the metric of the actual data with forecasts as lines, and ratios to the reference point.
 
     Each combination of values of the other axes has its own colour. Grey bars in the second panel are errors of
     independent runs.
@@ -54,11 +57,12 @@ def sweep_figure(result: SweepResult) -> PaperFigure:
     lost = np.array([not result.comparable(number, comparison.reference) for number in range(len(x))])
     if lost.any():
         ratios.append(Series("not comparable: scans lost", "points", x[lost], comparison.ratio[lost], "orange -."))
-    shown = comparison.sigma_ukcmb2[np.isfinite(comparison.sigma_ukcmb2)]
+    shown = comparison.value[np.isfinite(comparison.value)]
     wide = _wide(shown)
+    title, name, level = _names(comparison.quantity)
     panels = (
-        Panel("uncertainty of a flat band power", label, f"sigma(A) [{UK2_CMB}]", tuple(levels), logarithmic, wide),
-        Panel("against the reference point", label, "ratio of sigma(A)", tuple(ratios), logarithmic, wide),
+        Panel(title, label, level, tuple(levels), logarithmic, wide),
+        Panel("against the reference point", label, f"ratio of {name}", tuple(ratios), logarithmic, wide),
     )
     reference = plain(sweep.points[comparison.reference].label)
     caption = f"{len(sweep.points)} points with one seed; reference point: {reference}."
@@ -70,9 +74,18 @@ def sweep_figure(result: SweepResult) -> PaperFigure:
     return PaperFigure(0, f"{sweep.name}: sweep", caption, panels, 2)
 
 
+def _names(quantity: Compared) -> tuple[str, str, str]:
+    """Title of the first panel, name of the metric, and label of its axis."""
+    if quantity == SIGMA_A:
+        return "uncertainty of a flat band power", "sigma(A)", f"sigma(A) [{UK2_CMB}]"
+    name = plain(quantity.key)
+    unit = UK2_CMB if quantity.unit == "uK2" else plain(with_unit("", quantity.unit).strip())
+    return name, name, f"{name} [{unit}]" if unit else name
+
+
 def _levels(result: SweepResult, x: np.ndarray, rows: np.ndarray, name: str, colour: str) -> list[Series]:
     comparison = result.comparison
-    forecast = np.array([result.points[row].forecast_ukcmb2.get(ACTUAL, np.nan) for row in rows])
+    forecast = np.array([_forecast(result.points[row], comparison.quantity.key) for row in rows])
     series = []
     if np.isfinite(forecast).any():
         label = "" if name and result.simulated else name or "forecast"
@@ -83,9 +96,18 @@ def _levels(result: SweepResult, x: np.ndarray, rows: np.ndarray, name: str, col
         if not result.simulated and not steps:
             series.append(Series("", "points", x[rows], forecast, look))
     if result.simulated:
-        sigma, error = comparison.sigma_ukcmb2[rows], comparison.error_ukcmb2[rows]
+        sigma, error = comparison.value[rows], comparison.error[rows]
         series.append(Series(name or "simulated", "points", x[rows], sigma, colour, sigma - error, sigma + error))
     return series
+
+
+def _forecast(point: PointResult, key: str) -> float:
+    """Forecast of a quantity at a point; NaN without one."""
+    found = point.metrics.get(ACTUAL, {}).get(key)
+    forecast = found.forecast if found else None
+    if quantity := point.metric_forecasts.get(ACTUAL, {}).get(key):
+        forecast = quantity.value
+    return np.nan if forecast is None or not np.isfinite(forecast) else forecast
 
 
 def _ratios(result: SweepResult, x: np.ndarray, rows: np.ndarray, name: str, colour: str) -> list[Series]:

@@ -96,20 +96,30 @@ RUN = {
 }
 SWEEP = Caption(
     "All points",
-    "Uncertainty of a flat band power of all points, and its ratio to the reference point.",
-    "Across: the values of the first axis; a colour for each combination of the others. Left: σ(A) of the actual data "
-    "set [µK²_CMB] with Monte Carlo errors; dashes or triangles are the forecast. Right: its ratio to the reference "
-    "point. Coloured bars are paired errors, which allow for the noise and weather that points share; grey bars are "
-    "errors of independent runs. Orange diamonds: points that are not comparable with the reference, as one of the two "
-    "loses too many scans.",
-    "Look for points further than two coloured bars from 1, which differ from the reference point, and for the lowest.",
+    "Metric of all points, and its ratio to the reference point.",
+    "Across: the values of the first axis; a colour for each combination of the others. Left: the metric of the actual "
+    "data set, by default σ(A), with Monte Carlo errors; dashes or triangles are the forecast. Right: its ratio to the "
+    "reference point. Coloured bars are paired errors, which allow for the noise and weather that points share; grey "
+    "bars are errors of independent runs. Orange diamonds: points that are not comparable with the reference, as one "
+    "of the two loses too many scans.",
+    "Look for points further than two coloured bars from 1, which differ from the reference point, and for the best.",
 )
 FORECAST_SWEEP = Caption(
     "All points",
-    "Forecast uncertainty of a flat band power of all points, and its ratio to the reference point.",
-    "Across: the values of the first axis; a colour for each combination of the others. Left: σ(A) of the actual data "
-    "set [µK²_CMB] by forecast. Right: its ratio to the reference point.",
-    "Look for the lowest point, and for the curvature around it.",
+    "Forecast of the metric of all points, and its ratio to the reference point.",
+    "Across: the values of the first axis; a colour for each combination of the others. Left: the metric of the "
+    "actual data set, by default σ(A), by forecast. Right: its ratio to the reference point.",
+    "Look for the best point, and for the curvature around it.",
+)
+BUDGET = Caption(
+    "Survey time by stage",
+    "Bars of survey time from the least scene to the whole one, and the cost of each stage removed or added alone.",
+    "Across: survey time that gives the same σ(A), in percent of the whole scene's. Left: each bar adds the cost of a "
+    "stage added alone to the least scene (grey at the top); the orange bar is the rest of the whole scene's time, the "
+    "interactions of the stages. Right: the cost of each stage, removed alone from the whole scene (discs) and added "
+    "alone to the least one (squares). Bars are paired errors, for simulated points.",
+    "Look for the longest bars, which a better camera shortens, for stages at 0 within their error bars, which this "
+    "scene can do without, and for discs far from their squares: stages whose cost depends on the others.",
 )
 ACCURACY = Caption(
     "Accuracy and its cost",
@@ -118,4 +128,28 @@ ACCURACY = Caption(
     "other Monte Carlo parameters (middle); bias of σ(A) for numerical parameters (right), or its error if that is "
     "larger (squares). Diamonds are the scene's own settings. Grey: the Pareto front.",
     "Look for diamonds far from the grey line: there another setting is as good and faster.",
+)
+
+OPTIMUM = Caption(
+    "The metric along each knob",
+    "Forecasts of the metric against each knob, with the range within 1 % of the best design.",
+    "Across: a knob. Up: the metric, by forecast. Blue: designs along this knob, with the others at the best design; "
+    "the line is a smooth surface through the designs near it. Grey: all designs of the search. Orange: within 1 % of "
+    "the best.",
+    "Look for the width of the orange range: inside it other reasons may decide. A range that ends at the edge of the "
+    "panel ends with the range that was searched.",
+)
+FRONT = Caption(
+    "Two metrics that compete",
+    "Designs by their two metrics, with the Pareto front.",
+    "Across and up: the two metrics, by forecast. Grey: all designs of the search. Blue: the front, designs that no "
+    "other is better than in both metrics.",
+    "Look for a corner of the front, from which little is gained in one metric for much of the other.",
+)
+SIMULATED_DESIGNS = Caption(
+    "The simulated designs",
+    "Sensitivity of each simulated design, and its ratio to the scene as it is.",
+    "Across: designs. Up: σ(A) of the actual data [µK²_CMB] with Monte Carlo errors, and its ratio to the scene as it "
+    "is with paired errors. Triangles: forecast.",
+    "Look for ratios that differ by more than their errors.",
 )

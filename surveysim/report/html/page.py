@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 REPORT = "report.html"
 LONGEST_REASON = 150
 FIRST = (0, 5)  # first version with the present keys of summary.json
-KINDS = {"points", "scores", "accuracy", "bands"}  # keys that identify the kind of results
-EXPECTED = "the directory of a run, a sweep, 'surveysim accuracy' or 'surveysim paper' is expected"
+KINDS = {"points", "scores", "accuracy", "bands", "budget", "optimum"}  # keys that identify the kind of results
+EXPECTED = "the directory of a run, a sweep, 'surveysim budget', 'optimise', 'accuracy' or 'paper' is expected"
 # Units and symbols as the results write them, once they are escaped for HTML.
 _WRITTEN = [
     (re.compile(pattern), written)
@@ -78,6 +78,14 @@ def _page_of(directory: Path) -> Page:
         from surveysim.report.html.sweep import sweep_page
 
         return sweep_page(directory, summary, _read(directory / "scene.json"))
+    if "budget" in summary:
+        from surveysim.report.html.budget import budget_page
+
+        return budget_page(directory, summary, _read(directory / "scene.json"))
+    if "optimum" in summary:
+        from surveysim.report.html.optimum import optimum_page
+
+        return optimum_page(directory, summary, _read(directory / "scene.json"))
     if "bands" in summary:
         from surveysim.report.html.bands import bands_page
 

@@ -6,15 +6,23 @@ from functools import partial
 from typing import Any
 
 from surveysim.runtime.numbers import joined, short
-from surveysim.timestreams.response import RESPONSE_STEPS
+from surveysim.timestreams.response import RESPONSE_STEPS, ResponseStep
 
 Values = Mapping[str, Any]
 
 
 def response_terms(scene: Values) -> dict[str, Callable[[], Iterator[str]]]:
     """Return the sentences of each section of the response, by title, from the content of scene.json."""
-    sections = {step.name: step.title for step in RESPONSE_STEPS if step.name == step.section}
-    return {title: partial(_SECTIONS[name], scene[name]) for name, title in sections.items() if scene.get(name)}
+    present = [step for step in RESPONSE_STEPS if step.name == step.section and scene.get(step.name)]
+    return {step.title: partial(_section, step, scene[step.name]) for step in present}
+
+
+def _section(step: ResponseStep, section: Values) -> Iterator[str]:
+    """Describe a step by its parameters, or by its one sentence."""
+    if step.name in _SECTIONS:
+        yield from _SECTIONS[step.name](section)
+    else:
+        yield f"{step.sentence[0].upper()}{step.sentence[1:]}."
 
 
 def _drift(section: Values) -> Iterator[str]:
@@ -25,7 +33,9 @@ def _drift(section: Values) -> Iterator[str]:
         scatter = f", with a scatter of {_percent(section['load_scatter'])}," if section["load_scatter"] else ""
         yield f"They fall by {_percent(section['load_coefficient_k'])}{scatter} for each K of load"
         elevation = section["calibration_elevation_rad"]
-        where = "of the observation" if elevation is None else f"at an elevation of {short(math.degrees(elevation))}°"
+        where = (
+            "of the observation" if elevation is None else f"at an elevation of {_rounded(math.degrees(elevation))}°"
+        )
         yield f"beyond that {where}."
 
 
@@ -34,7 +44,7 @@ def _time_constants(section: Values) -> Iterator[str]:
         yield "Those of the table of detectors."
     else:
         scatter = f" with a scatter of {_percent(section['scatter'])}" if section["scatter"] else ""
-        yield f"{short(1e3 * section['value_s'])} ms{scatter}."
+        yield f"{_rounded(1e3 * section['value_s'])} ms{scatter}."
     if section["deconvolution_error"] is not None:
         yield "Streams are deconvolved with time constants that are wrong by"
         yield f"{_percent(section['deconvolution_error'])} rms."
@@ -66,11 +76,15 @@ def _pointing_errors(section: Values) -> Iterator[str]:
 
 
 def _percent(share: float) -> str:
-    return f"{short(100 * share)} %"
+    return f"{_rounded(100 * share)} %"
 
 
 def _arcsec(angle_rad: float) -> str:
-    return f"{short(math.degrees(angle_rad) * 3600)} arcsec"
+    return f"{_rounded(math.degrees(angle_rad) * 3600)} arcsec"
+
+
+def _rounded(value: float) -> str:
+    return short(float(f"{value:.4g}"))
 
 
 _SECTIONS: dict[str, Callable[[Values], Iterator[str]]] = {

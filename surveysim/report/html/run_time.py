@@ -18,6 +18,7 @@ def time_blocks(summary: Content, scene: Content) -> Iterator[Block]:
         "all": "all observations of the survey were simulated",
         "target": f"the target error of {percent(stopped.get('target_error') or 0)} was reached",
         "budget": f"the time budget of {duration(stopped.get('time_budget_s') or 0)} was spent",
+        "sweep": "the sweep needed no more observations of this point",
     }
     text = (
         f"{plural(summary['observations'], 'observation')} took {duration(run['wall_s'])} of wall time with"

@@ -9,6 +9,7 @@ from surveysim.reduction.data_set import DataSetKind
 from surveysim.report.html.components import UK2, Block, Listing, grid
 from surveysim.report.html.scene import cleaning_words
 from surveysim.results.method import CONTROLLED, PLAIN, method
+from surveysim.results.metric_tables import metric_table
 from surveysim.results.tables import alternative_table, cleaning_table, gain_table, score_table
 
 Content = Mapping[str, Any]  # content of summary.json or scene.json
@@ -19,6 +20,9 @@ DATA_SETS = {
     OPTIMAL: "the best cleaning of each observation",
 }
 
+METRICS = (
+    "Metrics of the scene, with Monte Carlo errors as those of σ(A). A forecast is for the weather of the quoted value."
+)
 ALTERNATIVES = (
     f"σ(A) in {UK2}. own: every data set weights its bins by its own noise; actual: all by the actual data's; 2-D:"
     " modes also by their direction. A masked array's is scaled."
@@ -32,6 +36,8 @@ def score_blocks(summary: Content, scene: Content) -> Iterator[Block]:
     if summary.get("gains"):
         note = "Ratios of σ(A). Both data sets share weather and skies, so a ratio has a smaller error than its parts."
         yield grid(gain_table(summary["gains"], dict(reference["gains"]) if reference else {}), note)
+    if metrics := metric_table(summary["metrics"]):
+        yield grid(metrics, METRICS)
     if len([name for name, entry in summary["cleaning"].items() if "psd_over_white" in entry]) > 1:
         yield grid(cleaning_table(summary["cleaning"]))
     if summary.get("alternatives"):

@@ -12,10 +12,20 @@ from surveysim.report.html.components import UK2, Block, Cell, Grid, Page, Secti
 from surveysim.report.html.discarded_scans import DISCARD_RULE, QUARTERS, quarter_names, share_cell, warned
 from surveysim.report.html.provenance import provenance, sources
 from surveysim.report.html.scene import what_was_simulated
+from surveysim.results.metric_tables import label, with_unit
 from surveysim.runtime.numbers import count, duration, joined, number, plural, quoted, quoted_share
+from surveysim.scene.metrics import SIGMA_KEY
 from surveysim.studies.sweep.axes import value_text
 from surveysim.studies.sweep.result import ESTIMATES, FORECAST_WEATHER
-from surveysim.studies.sweep.tables import WITHHELD, chance_text, data_set_table, ratio_text, sweep_table, varied_keys
+from surveysim.studies.sweep.tables import (
+    WITHHELD,
+    chance_text,
+    data_set_table,
+    ratio_text,
+    stop_sentence,
+    sweep_table,
+    varied_keys,
+)
 from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, listed_data_sets
 
 Content = Mapping[str, Any]  # content of summary.json, of one of its points, or of scene.json
@@ -63,7 +73,9 @@ def _lead(summary: Content, scene: Content) -> Iterator[str]:
     reference = points[summary["reference"]]
     if reference not in best:
         ratio = ratio_text(best[0], None)
-        yield f"That is {ratio} times the σ(A) of the reference point, {reference['label']}."
+        yield f"That is {ratio} times the {_name(summary)} of the reference point, {reference['label']}."
+    if stopped := stop_sentence(summary):
+        yield stopped
     if summary["kind"] == "simulated":
         yield (
             f"Every point has up to {plural(scene['observations'], 'observation')} with the same seed, hence the same"
@@ -72,31 +84,45 @@ def _lead(summary: Content, scene: Content) -> Iterator[str]:
     yield from warned(summary)
 
 
+def _name(summary: Content) -> str:
+    """Name of the quantity that points are compared by."""
+    return label(summary["metric"]["key"]).replace("sigma", "σ")
+
+
+def _side(summary: Content) -> str:
+    return "lowest" if summary["metric"]["lower_is_better"] else "highest"
+
+
+def _value(summary: Content, point: Content) -> str:
+    """That quantity at a point, with its error and unit."""
+    entry = point["metrics"][summary["metric"]["key"]]
+    text = quoted(entry["value"], entry["error"]) if "value" in entry else number(entry["forecast"])
+    unit = summary["metric"]["unit"]
+    return f"{text} {UK2}" if unit == "uK2" else with_unit(text, unit)
+
+
 def _best_sentence(summary: Content, made: str, best: list[Content]) -> str:
     labels = " or ".join(point["label"] for point in best)
     if summary["kind"] != "simulated":
-        sigma = number(best[0]["forecast_ukcmb2"][ACTUAL])
-        return f"Of {made}, the best by forecast is {labels}: σ(A) = {sigma} {UK2}."
-    row = best[0]["scores"][ACTUAL]
-    sigma = f"σ(A) = {quoted(row['sigma_ukcmb2'], row['error_ukcmb2'])} {UK2}"
+        return f"Of {made}, the best by forecast is {labels}: {_name(summary)} = {_value(summary, best[0])}."
+    found = f"{_name(summary)} = {_value(summary, best[0])}"
     if WITHHELD in best[0]:
         why = best[0][WITHHELD]
-        return f"Of {made}, the lowest is {labels}: {sigma}. The probability that it is the best is withheld: {why}."
+        side = _side(summary)
+        return f"Of {made}, the {side} is {labels}: {found}. The probability that it is the best is withheld: {why}."
     sure, each = best[0]["best_probability"], "each " if len(best) > 1 else ""
     out = sum(WITHHELD in point for point in summary["points"])
     others = f" {plural(out, 'point')} that lose too many scans are not counted." if out else ""
-    return f"Of {made}, the best is {labels}: {sigma}, {each}with a confidence of {chance_text(sure)}.{others}"
+    return f"Of {made}, the best is {labels}: {found}, {each}with a confidence of {chance_text(sure)}.{others}"
 
 
 def _key_figures(summary: Content) -> tuple[tuple[str, str], ...]:
     run, found = summary["run"], []
     if summary["best"]:
         best = summary["points"][summary["best"][0]]
-        row = best["scores"].get(ACTUAL)
-        sigma = quoted(row["sigma_ukcmb2"], row["error_ukcmb2"]) if row else number(best["forecast_ukcmb2"][ACTUAL])
         ratio = ratio_text(best, summary["reference"])
-        name = "lowest" if WITHHELD in best else "best"
-        found += [(f"{name} σ(A) [{UK2}]", sigma), ("over the reference", ratio)]
+        name = _side(summary) if WITHHELD in best else "best"
+        found += [(f"{name} {_name(summary)}", _value(summary, best)), ("over the reference", ratio)]
     found += [("points", count(len(summary["points"]))), ("axes", count(len(summary["axes"])))]
     return (*found, ("run time", duration(run["wall_s"])), ("workers", count(run["workers"])))
 
@@ -146,12 +172,13 @@ def _ratio_note(summary: Content) -> str:
         return "No point has a score, so there are no ratios."
     said = ESTIMATES.get(summary["estimate"])
     note = f"σ(A) {said}. " if said else ""
+    note += "" if summary["metric"]["key"] == SIGMA_KEY else f"Ratios are of {_name(summary)}. "
     note += f"Ratios are to {summary['points'][summary['reference']]['label']}."
     if summary["kind"] != "simulated":
         return f"{note} A forecast has no Monte Carlo error. {FORECAST_WEATHER}"
     return (
         f"{note} Their errors allow for the noise and weather that the points share. Best: the probability that the"
-        " point has the lowest σ(A) of all that lose few scans and whose error is known."
+        f" point has the {_side(summary)} {_name(summary)} of all that lose few scans and whose error is known."
     )
 
 
@@ -163,14 +190,14 @@ def _pair_grids(summary: Content) -> Iterator[Grid]:
         return
     names = {number: f"{number}: {_values(summary['points'][number], varied_keys(summary))}" for number in numbers}
     rows = tuple((cell(names[row]), *(_pair_cell(pairs, row, column) for column in numbers)) for row in numbers)
-    notes = ["σ(A) of the row's point over that of the column's, with the paired error."]
+    notes = [f"{_name(summary)} of the row's point over that of the column's, with the paired error."]
     if not all(pair["comparable"] for pair in pairs.values()):
         notes.append(
             f"*: not to be compared, as one loses more than {100 * MOST_DISCARDED:g} % of its scans or the two differ"
             f" by more than {100 * MOST_APART:g} %."
         )
     columns = ("point", *(str(number) for number in numbers))
-    yield Grid("pair-table", "Ratios of σ(A)", columns, rows, tuple(notes))
+    yield Grid("pair-table", f"Ratios of {_name(summary)}", columns, rows, tuple(notes))
 
 
 def _pair_cell(pairs: Mapping[tuple[int, int], Content], row: int, column: int) -> Cell:

@@ -8,13 +8,14 @@ from surveysim.report.terminal.layout import Terminal
 from surveysim.report.terminal.survey import print_warnings, where_line
 from surveysim.report.terminal.tables import show_table
 from surveysim.results.bands import band_table
+from surveysim.results.metric_tables import label, with_unit
 from surveysim.runtime.numbers import number, plain, plural, quoted, quoted_share
 from surveysim.runtime.table import Table
 from surveysim.studies.sweep.axes import Axis
 from surveysim.studies.sweep.band_results import MultiBandSweepResult, sweep_entries
 from surveysim.studies.sweep.result import ESTIMATES, FORECAST_WEATHER, SweepResult
 from surveysim.studies.sweep.summary import sweep_summary
-from surveysim.studies.sweep.tables import chance_text, sweep_table
+from surveysim.studies.sweep.tables import chance_text, stop_sentence, sweep_table
 from surveysim.survey.discarded_scans import listed_data_sets, percent
 
 
@@ -31,7 +32,8 @@ def print_sweep(result: SweepResult, directory: Path, verbose: bool = False) -> 
         Also print the kind of estimate, fractions of discarded scans, and the forecasts.
     """
     console = Terminal(160)
-    table = _named_by_axes(sweep_table(sweep_summary(result, ())), result.sweep.axes)
+    summary = sweep_summary(result, ())
+    table = _named_by_axes(sweep_table(summary), result.sweep.axes)
     show_table(console, table, marked="best")
     for point, item in zip(result.sweep.points, result.points, strict=True):
         if item.unscored:
@@ -40,6 +42,8 @@ def print_sweep(result: SweepResult, directory: Path, verbose: bool = False) -> 
         reference = result.sweep.points[result.comparison.reference].label
         console.say(f"Ratios are to {reference}{', with paired errors' if result.simulated else ''}.")
         console.say(best_line(result))
+    if stopped := stop_sentence(summary):
+        console.say(plain(stopped))
     if not result.simulated:
         console.say(FORECAST_WEATHER)
     if verbose:
@@ -123,14 +127,16 @@ def best_line(result: SweepResult) -> str:
     comparison = result.comparison
     labels = " or ".join(result.sweep.points[number].label for number in comparison.best)
     first = comparison.best[0]
-    sigma = f"sigma(A) = {plain(number(comparison.sigma_ukcmb2[first]))}"
+    quantity, value, error = comparison.quantity, comparison.value[first], comparison.error[first]
+    text = plain(quoted(value, error) if result.simulated else number(value))
+    found = f"{label(quantity.key)} = {with_unit(text, quantity.unit)}"
     if not result.simulated:
-        return f"best: {labels}, {sigma} uK_CMB^2 by forecast"
-    sigma = f"sigma(A) = {plain(quoted(comparison.sigma_ukcmb2[first], comparison.error_ukcmb2[first]))} uK_CMB^2"
+        return f"best: {labels}, {found} by forecast"
     if reason := result.withheld(first):
-        return f"lowest: {labels}, {sigma}; the probability that it is the best is withheld: {reason}"
+        side = "lowest" if quantity.lower_is_better else "highest"
+        return f"{side}: {labels}, {found}; the probability that it is the best is withheld: {reason}"
     each, chance = "each " * (len(comparison.best) > 1), chance_text(comparison.best_probability[first])
-    return f"best{_among(result)}: {labels}, {sigma}, {each}with confidence {chance}"
+    return f"best{_among(result)}: {labels}, {found}, {each}with confidence {chance}"
 
 
 def _among(result: SweepResult) -> str:

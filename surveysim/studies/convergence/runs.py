@@ -136,7 +136,7 @@ def tasks(scene_of: Callable[[Mapping[str, Any]], Scene], settings: Iterable[Set
         except SceneError as error:
             found.refused[place] = f"refused: {first_line(error)}"
             continue
-        if setting.parameter in OF_SCREEN and scene.atmosphere is None:
+        if setting.parameter in OF_SCREEN and not scene.turbulent:
             found.refused[place] = "refused: without [atmosphere] there is no screen"
             continue
         found.hashes[place] = scene_hash(scene)

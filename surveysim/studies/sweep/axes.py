@@ -4,7 +4,6 @@ Each point is the scene of the file with some keys replaced. All points have the
 depend on the replaced keys are common, so differences between points have smaller errors than the points.
 """
 
-import re
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -25,16 +24,17 @@ from surveysim.runtime.text_files import key_text
 from surveysim.scene.bands import TABLE, band_key, common_key
 from surveysim.scene.error_lines import allowed_keys, error_lines, unknown_key
 from surveysim.scene.fields import LONGEST_LINE
+from surveysim.scene.metrics import SIGMA_KEY
 from surveysim.scene.renamed_keys import renamed_line
 from surveysim.scene.scene import Origin, Scene, read_scene, scene_hash, scene_of
 from surveysim.scene.shipped import find_scene
 from surveysim.scene.units import file_value, shown
+from surveysim.studies.sweep.choices import METRIC, REFERENCE, check_metric, given_choices, reference_point, value_text
 from surveysim.telescope.scans import samples_per_scan
 
 MAX_POINTS = 1000
 LABEL_LENGTH = 40
-COMMON = ("seed", "name", "title", "sweep")  # keys that are the same at all points
-REFERENCE = "reference"  # key of [sweep] that is no axis if its value is a number or a text
+COMMON = ("seed", "name", "title", "sweep", "optimise")  # keys that are the same at all points
 
 T = TypeVar("T")
 
@@ -101,7 +101,8 @@ class Point:
 class Sweep:
     """A scene file with [sweep]: its axes, and the points of all combinations; the last axis varies fastest.
 
-    `reference` is the number of the point that ratios refer to, `origin` the file with its overrides.
+    `reference` is the number of the point that ratios refer to, `metric` the key of the quantity that points are
+    compared by, and `origin` the file with its overrides.
     """
 
     path: Path
@@ -109,6 +110,7 @@ class Sweep:
     points: tuple[Point, ...]
     origin: Origin
     reference: int = 0
+    metric: str = SIGMA_KEY
 
     @property
     def name(self) -> str:
@@ -169,42 +171,48 @@ def sweep_along(
     settings = [_settings(axes, place) for place in places]
     labels = [", ".join(axis.at(step) for axis, step in zip(axes, place, strict=True)) for place in places]
 
+    choices = given_choices(tomllib.loads(origin.text)["sweep"])
+    metric = str(choices.get(METRIC, SIGMA_KEY))
+
     def point(number: int) -> Point:
         scene = scene_at(settings[number])
-        if scene.score is None:
-            raise SceneError("score: missing; a sweep compares scores")
-        setup = prepare(scene)
-        samples = (
-            setup.camera.n_det
-            * setup.observing.scans.n_scans
-            * samples_per_scan(setup.observing.scans)
-            * scene.observations
-        )
-        return Point(number, places[number], labels[number], settings[number], scene, setup.camera.n_det, samples)
+        return sweep_point(number, places[number], labels[number], settings[number], scene, metric)
 
     points = tuple(_of_all(path, labels, point))
     name = "sweep.reference" if reference is None else "--reference"
-    given = _given_reference(tomllib.loads(origin.text)) if reference is None else reference
+    given = choices.get(REFERENCE) if reference is None else reference
     try:
-        chosen = _reference(name, given, axes, points)
+        chosen = reference_point(name, given, axes, points)
     except InputError as error:
         raise SceneError(f"{path}: {error}") from None
     if reference is not None and all(axis.name != REFERENCE for axis in axes):
         origin = replace(origin, overrides={**origin.overrides, f"sweep.{REFERENCE}": chosen})
-    return Sweep(path, axes, points, origin, chosen)
+    return Sweep(path, axes, points, origin, chosen, metric)
+
+
+def sweep_point(
+    number: int,
+    place: tuple[int, ...],
+    label: str,
+    settings: dict[str, Any],
+    scene: Scene,
+    metric: str = SIGMA_KEY,
+) -> Point:
+    """Make a point of a scene, checked and prepared; raises SceneError for one that can't be run or compared."""
+    if scene.score is None:
+        raise SceneError("score: missing; a sweep compares scores")
+    check_metric(metric, scene)
+    setup = prepare(scene)
+    scans = setup.observing.scans
+    samples = setup.camera.n_det * scans.n_scans * samples_per_scan(scans) * scene.observations
+    return Point(number, place, label, settings, scene, setup.camera.n_det, samples)
 
 
 def sweep_hash(sweep: Sweep) -> str:
-    """Return the SHA-256 of everything that the results depend on: scenes of the points, and the reference point."""
-    found = [scene_hash(point.scene) for point in sweep.points]
-    return sha256(" ".join([*found, str(sweep.reference)]).encode()).hexdigest()
-
-
-def value_text(value: Any) -> str:
-    """Format a value of the file: quantities as written, steps of cleaning joined with a plus."""
-    if isinstance(value, list) and value and all(isinstance(item, str) for item in value):
-        return "+".join(value)
-    return value if isinstance(value, str) else repr(value)
+    """Return the SHA-256 of everything that the results depend on: scenes of the points, reference point, metric."""
+    found = [*(scene_hash(point.scene) for point in sweep.points), str(sweep.reference)]
+    found += [sweep.metric] * (sweep.metric != SIGMA_KEY)
+    return sha256(" ".join(found).encode()).hexdigest()
 
 
 def numbers_of(values: Sequence[Any]) -> tuple[np.ndarray, str] | None:
@@ -245,9 +253,9 @@ def sweep_axes(path: Path, content: Mapping[str, Any], overrides: Mapping[str, A
         found = "missing" if table is None else f"found {shown(table)}"
         raise SceneError(f"{path}: sweep: {found}; a table of keys with lists of values is expected")
     axes, wrong = [], []
-    given = {REFERENCE} if _given_reference(content) is not None else set()
+    chosen = given_choices(table)
     for name, value in table.items():
-        if name in given:
+        if name in chosen:
             continue
         try:
             axes.append(_axis(name, value, tuple(content.get(TABLE, ()))))
@@ -256,7 +264,8 @@ def sweep_axes(path: Path, content: Mapping[str, Any], overrides: Mapping[str, A
     if wrong:
         raise SceneError(error_lines(path, wrong))
     if not axes:
-        raise SceneError(f"{path}: sweep: found {REFERENCE!r} alone; a key with a list of values is expected")
+        found = " and ".join(map(repr, chosen))
+        raise SceneError(f"{path}: sweep: found {found} alone; a key with a list of values is expected")
     try:
         _check_together(axes, overrides)
     except InputError as error:
@@ -294,7 +303,7 @@ def _check_key(where: str, axis: str, key: str, bands: tuple[str, ...]) -> None:
         raise InputError(f"{where}: {same!r} is the same in all bands; {shown(own)} is expected")
     key = own if band in bands else key
     *sections, last = key.split(".")
-    if sections[:1] == ["sweep"] or key in COMMON:
+    if sections[:1] in (["sweep"], ["optimise"]) or key in COMMON:
         raise InputError(f"{where}: found {shown(key)}; a key that is not common to all points is expected")
     if renamed := renamed_line(key):
         raise InputError(renamed)
@@ -321,37 +330,6 @@ def _check_together(axes: Sequence[Axis], overrides: Mapping[str, Any]) -> None:
 def _overlap(key: str, other: str) -> bool:
     """Return whether two dotted keys are equal, or one is a section that contains the other."""
     return f"{key}.".startswith(f"{other}.") or f"{other}.".startswith(f"{key}.")
-
-
-def _given_reference(content: Mapping[str, Any]) -> int | str | None:
-    """Reference point in the table [sweep], if any."""
-    value = content["sweep"].get(REFERENCE)
-    return value if isinstance(value, int | str) else None
-
-
-def _reference(name: str, given: int | str | None, axes: Sequence[Axis], points: Sequence[Point]) -> int:
-    """Number of the reference point, by default the first; raises an error unless the text identifies one point."""
-    if isinstance(given, bool):
-        raise InputError(f"{name}: found {shown(given)}; the number of a point, or its values, is expected")
-    if given is None or isinstance(given, int):
-        if not 0 <= (given or 0) < len(points):
-            raise InputError(f"{name}: found {given}; the number of a point, 0 to {len(points) - 1}, is expected")
-        return given or 0
-    found = [point.number for point in points if _is_named(given, point, axes)]
-    if len(found) != 1:
-        others = f"that names {len(found)} points" if found else "that names no point"
-        raise InputError(f"{name}: found {given!r}, {others}; as in {points[0].label!r}, one is expected")
-    return found[0]
-
-
-def _is_named(text: str, point: Point, axes: Sequence[Axis]) -> bool:
-    """Return whether a text consists of ``key = value`` of some keys or axes of a point."""
-    own = [axis.at(step) for axis, step in zip(axes, point.place, strict=True)]
-    own += [f"{key} = {value_text(value)}" for key, value in point.settings.items()]
-    left = re.sub(r"\s*=\s*", " = ", text)
-    for part in sorted(own, key=len, reverse=True):
-        left = left.replace(part, "", 1)
-    return bool(text.strip()) and not left.strip(" ,")
 
 
 def _short(value: Any) -> str:

@@ -11,6 +11,7 @@ from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.results.agreement import agreement, quoted_forecast
 from surveysim.results.results import SurveyResult, survey_result
+from surveysim.results.stopping import UNLIMITED, StoppingCriteria
 from surveysim.runtime.errors import InputError
 from surveysim.scene.scene import scene_hash
 from surveysim.studies.sweep.axes import Point
@@ -22,12 +23,17 @@ from surveysim.survey.run import finished_sums, run_observations
 Keep = Callable[[int, SurveyResult], None]  # writes the results of a point, by its number
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Stage:
     """A point, and the number of its first observations to run."""
 
     point: Point
     observations: int
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all observations of the point run."""
+        return self.observations == self.point.scene.observations
 
     @property
     def file(self) -> str:
@@ -68,19 +74,20 @@ class PointJob:
             raise
         except InputError as error:
             raise InputError(f"point ({stage.point.label}): {error}") from None
-        result = survey_result(setup, coadds, wall_s=perf_counter() - start, workers=1)
+        limits = UNLIMITED if stage.is_whole else StoppingCriteria(in_rounds=True)
+        result = survey_result(setup, coadds, wall_s=perf_counter() - start, workers=1, limits=limits)
         if self.keep is not None:
             self.keep(stage.point.number, result)
         found = point_result(result)
         if self.directory is not None:
             save_point(self.directory / stage.file, found, scene_hash(stage.point.scene))
-            if stage == whole(stage.point):
+            if stage.is_whole:
                 checkpoint.unlink(missing_ok=True)
         return found
 
     def _run(self, setup: Setup, stage: Stage, checkpoint: Path | None) -> CoAdds:
         nodes = finished_sums(setup, checkpoint) if self.resume and checkpoint is not None else []
-        if stage == whole(stage.point):
+        if stage.is_whole:
             return run_observations(setup, checkpoint, nodes=nodes)
         return run_observations(setup, checkpoint, nodes=nodes, stops=lambda sums: sums.done >= stage.observations)
 
@@ -106,6 +113,8 @@ def point_result(result: SurveyResult) -> PointResult:
         _skies(setup),
         result.unscored,
         result.wall_s,
+        result.metrics,
+        {},
     )
 
 

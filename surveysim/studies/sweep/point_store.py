@@ -7,21 +7,33 @@ from typing import Annotated, Any
 from zipfile import ZIP_STORED
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from mapmaker.bandpower import BandPower
 from mapmaker.files import atomic_write
 from mapmaker.transfer_function import TransferFunction
 from mapmaker.uncertainty import ErrorBudget
 from surveysim import __version__
+from surveysim.metrics.map_noise import Quantity
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
 from surveysim.reduction.data_set import DataSetKind
+from surveysim.results.metrics import MetricResults
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import Scene, scene_hash
 from surveysim.studies.sweep.axes import Point
+from surveysim.studies.sweep.point_metrics import (
+    Budget,
+    Metric,
+    Numbers,
+    check_metrics,
+    metric_arrays,
+    metric_numbers,
+    read_metrics,
+)
 from surveysim.survey.checkpoint import REASON, CheckpointError, check_origin, read_meta
 from surveysim.survey.scores import Control, DataSetScore
 
+_APART = ("scores", "metrics", "metric_forecasts")  # fields that the JSON part has elsewhere, or not at all
 _OF_BAND, _OF_TRANSFER = ("weight", "ell", "cumulative"), ("ell", "transmission", "deviations")
 _OF_CONTROL = ("factor", "weights", "noise")
 _OF_SET = ("noise_psds", "signal_psd", "weights", "bin_noise", "kept")
@@ -63,6 +75,10 @@ class PointResult:
         Key that is equal for points whose transfer functions are measured with the same skies.
     wall_s
         Run time since the start or last resumption of the point.
+    metrics
+        Quantities of all metrics of a run, by data set and key.
+    metric_forecasts
+        Quantities of all metrics of a forecast, by data set and key.
     """
 
     n_det: int
@@ -76,6 +92,8 @@ class PointResult:
     skies: str
     unscored: str
     wall_s: float
+    metrics: MetricResults
+    metric_forecasts: dict[str, dict[str, Quantity]]
 
 
 def point_file(number: int, observations: int, of_survey: int) -> str:
@@ -99,11 +117,13 @@ def save_point(path: Path, result: PointResult, identity: str) -> None:
         "scene": identity,
         "version": __version__,
         "sets": {name: _numbers(item) for name, item in result.scores.items()},
-        "rest": {key: value for key, value in vars(result).items() if key != "scores"},
+        "metrics": metric_numbers(result.metrics),
+        "rest": {key: value for key, value in vars(result).items() if key not in _APART},
     }
     arrays: dict[str, Any] = {
         f"{name}/{key}": array for name, item in result.scores.items() for key, array in _arrays(item).items()
     }
+    arrays |= dict(metric_arrays(result.metrics))
     with atomic_write(path) as partial, open(partial, "wb") as file:
         np.savez(file, meta=json.dumps(meta), **arrays)
 
@@ -138,48 +158,35 @@ def load_point(path: Path, point: Point) -> PointResult:
     raise CheckpointError(f"{path}: damaged ({one_line(reason, REASON)}); delete it and go on with --resume")
 
 
-class _Numbers(BaseModel):
-    """Fields with fixed types and no others; NaN stands for an unknown value."""
-
-    model_config = ConfigDict(strict=True, extra="forbid")
-
-
-class _Band(_Numbers):
+class _Band(Numbers):
     sigma_ukcmb2: Annotated[float, Field(gt=0, allow_inf_nan=False)]
     error_ukcmb2: float
     ell_eff: float
     fwhm_ell: float
 
 
-class _Budget(_Numbers):
-    noise: float
-    weather: float
-    transfer_function: float
-    population: float
-
-
-class _Control(_Numbers):
+class _Control(Numbers):
     sampling: float
     population: float
 
 
-class _Set(_Numbers):
+class _Set(Numbers):
     kind: Annotated[DataSetKind, Field(strict=False)]
     n_det: Annotated[int, Field(ge=1)]
     band: _Band
-    budget: _Budget
+    budget: Budget
     control: _Control | None = None
     plain: _Band | None = None
 
 
-class _Quarter(_Numbers):
+class _Quarter(Numbers):
     b2_min_mk2: float
     b2_max_mk2: float
     observations: Annotated[int, Field(ge=1)]
     discarded: dict[str, _Share]
 
 
-class _Rest(_Numbers):
+class _Rest(Numbers):
     n_det: int
     observations: Annotated[int, Field(ge=1)]
     forecast_ukcmb2: dict[str, Annotated[float, Field(gt=0)]]
@@ -192,21 +199,26 @@ class _Rest(_Numbers):
     wall_s: Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
-class _Meta(_Numbers):
+class _Meta(Numbers):
     """JSON part of a point's file."""
 
     scene: str
     version: str
     sets: dict[str, _Set]
+    metrics: dict[str, dict[str, Metric]]
     rest: _Rest
 
 
 def _result(file: Any, meta: _Meta) -> PointResult:
     numbers = {name: item.model_dump(exclude_none=True) for name, item in meta.sets.items()}
     result = PointResult(
-        scores={name: _score(file, name, item) for name, item in numbers.items()}, **meta.rest.model_dump()
+        scores={name: _score(file, name, item) for name, item in numbers.items()},
+        metrics=read_metrics(file, meta.metrics),
+        metric_forecasts={},
+        **meta.rest.model_dump(),
     )
     known = {f"{name}/{key}" for name, item in result.scores.items() for key in _arrays(item)}
+    known |= {name for name, _ in metric_arrays(result.metrics)}
     if others := set(file.files) - known - {"meta"}:
         raise ValueError(f"unknown: {', '.join(sorted(others))}")
     return result
@@ -223,6 +235,7 @@ def _check_point(result: PointResult, point: Point) -> None:
     if others := [name for name in others if name not in names]:
         raise ValueError(f"no data set of the scene: {others[0]}")
     n_bin = {len(item.signal_psd) for item in result.scores.values()}
+    check_metrics(result.metrics, point.scene, set(result.scores), max(n_bin, default=0))
     n_obs, skies = result.observations, score.signal_sims.skies
     if n_obs > point.scene.observations:
         raise ValueError(f"{n_obs} observations, more than the scene's {point.scene.observations}")

@@ -8,6 +8,7 @@ import numpy as np
 from surveysim.studies.sweep.axes import Sweep
 from surveysim.studies.sweep.comparison import Comparison, actual_shares
 from surveysim.studies.sweep.point_store import PointResult
+from surveysim.studies.sweep.rounds import Rounds
 from surveysim.survey.discarded_scans import competing, sweep_warnings, why_withheld
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class SweepResult:
-    """A finished sweep; `simulated` is false if its points are forecasts only."""
+    """A finished sweep; `simulated` is false if its points are forecasts only, `rounds` are those of a target error."""
 
     sweep: Sweep
     points: tuple[PointResult, ...]
@@ -54,6 +55,7 @@ class SweepResult:
     wall_s: float
     workers: int
     engine: str
+    rounds: Rounds | None
 
     def table(self) -> "QTable":
         """Return a row for each point with units, as sweep.ecsv has it."""
@@ -122,7 +124,7 @@ class SweepResult:
 
 def pairs(result: SweepResult) -> list[Pair]:
     """Pair each point with a score with every one before it; no pairs for more than `MOST_PAIRED` such points."""
-    sigma = result.comparison.sigma_ukcmb2
+    sigma = result.comparison.value
     scored = [int(number) for number in np.flatnonzero(np.isfinite(sigma))]
     if not result.simulated or len(scored) > MOST_PAIRED:
         return []
@@ -131,7 +133,7 @@ def pairs(result: SweepResult) -> list[Pair]:
 
 def _pair(result: SweepResult, point: int, other: int) -> Pair:
     comparison = result.comparison
-    sigma, error, modes = comparison.sigma_ukcmb2, comparison.error_ukcmb2, comparison.modes
+    sigma, error, modes = comparison.value, comparison.error, comparison.modes
     ratio = float(sigma[point] / sigma[other])
     paired = ratio * float(np.linalg.norm(modes[point] - modes[other]))
     apart = ratio * float(np.hypot(error[point] / sigma[point], error[other] / sigma[other]))

@@ -5,9 +5,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from surveysim.reduction.cleaning_pipelines import ACTUAL
+from surveysim.results.metric_tables import heading, label
 from surveysim.results.tables import rounded_column
-from surveysim.runtime.numbers import number, quoted
+from surveysim.runtime.numbers import number, percent, plural, quoted
 from surveysim.runtime.table import SIGMA, Column, Table, column, file_column, quoted_columns, share_text
+from surveysim.scene.metrics import SIGMA_KEY
 from surveysim.studies.sweep.axes import numbers_of, value_text
 from surveysim.studies.sweep.comparison import SURE
 from surveysim.studies.sweep.result import Pair
@@ -18,11 +20,12 @@ WITHHELD = "best_probability_withheld"
 
 
 def sweep_table(summary: Content) -> Table:
-    """Return a row for each point: values of the keys, sigma(A), its ratio to the reference point, discarded scans.
+    """Return a row for each point: values of the keys, sigma(A), the ratio to the reference point, discarded scans.
 
-    Files have the columns `sigma_`, `error_`, `plain_sigma_` and `forecast_<data set>` [uK_CMB^2]; the `ratio` to the
-    reference point with its paired error; `best_probability`, NaN if withheld; and the fraction `discarded` of scans of
-    the actual data, with a column for each data set that differs from it.
+    Files have the columns `sigma_`, `error_`, `plain_sigma_` and `forecast_<data set>` [uK_CMB^2]; each metric of the
+    actual data by its key, with `error_<metric>` and `forecast_<metric>`. The `ratio` to the reference point is of the
+    metric that points are compared by, with its paired error; `best_probability` is NaN if withheld; the fraction
+    `discarded` of scans is of the actual data, with a column for each data set that differs from it.
 
     Parameters
     ----------
@@ -32,6 +35,7 @@ def sweep_table(summary: Content) -> Table:
     points = summary["points"]
     meta = {
         "temperature": "CMB",
+        "metric": summary["metric"]["key"],
         "reference": summary["reference"],
         "best": summary["best"],
         "surveysim": summary["surveysim"],
@@ -42,13 +46,17 @@ def sweep_table(summary: Content) -> Table:
         file_column("point", [point["point"] for point in points]),
         *_settings(summary),
         column("n_det", [point["n_det"] for point in points], "detectors"),
+        *_observations(summary),
         *_scores(summary),
         *_forecasts(summary),
+        *_metrics(summary),
         *_discarded(summary),
         *_ratios(summary),
         file_column("unscored", [point.get("unscored", "") for point in points]),
     ]
-    title = f"{summary['title']}: uncertainty of a flat CMB band power"
+    compared = summary["metric"]["key"]
+    what = "uncertainty of a flat CMB band power" if compared == SIGMA_KEY else f"ratios are of {compared}"
+    title = f"{summary['title']}: {what}"
     return Table("point", title, tuple(columns), tuple(summary["best"]), meta)
 
 
@@ -64,11 +72,11 @@ def data_set_table(summary: Content) -> Table | None:
     return Table("other", f"Other data sets: {SIGMA}", tuple(columns))
 
 
-def pair_table(pairs: Sequence[Pair]) -> Table:
-    """Return a row for each pair of points with a score: sigma(A) of `point` over that of `other`, and its errors."""
+def pair_table(pairs: Sequence[Pair], key: str = SIGMA_KEY) -> Table:
+    """Return a row for each pair of points with a score: the metric of `point` over that of `other`, and its errors."""
     names = {"paired_error": "ratio_error"}
     columns = (file_column(names.get(name, name), [vars(pair)[name] for pair in pairs]) for name in vars(pairs[0]))
-    return Table("pair", "Ratios of sigma(A)", tuple(columns))
+    return Table("pair", f"Ratios of {label(key)}", tuple(columns))
 
 
 def varied_keys(summary: Content) -> list[str]:
@@ -98,6 +106,32 @@ def _settings(summary: Content) -> Iterator[Column]:
         yield Column(key, numbers, unit, key, tuple(texts) if key in keys else None)
 
 
+def _observations(summary: Content) -> Iterator[Column]:
+    """Column of the numbers of simulated observations; files alone have equal ones."""
+    if summary["kind"] == "simulated":
+        values = [point["observations"] for point in summary["points"]]
+        yield (
+            column("observations", values, "observations")
+            if "stopped" in summary
+            else file_column("observations", values)
+        )
+
+
+def stop_sentence(summary: Content) -> str:
+    """Return a sentence on the end of a sweep with a target error; empty for other sweeps."""
+    if (stopped := summary.get("stopped")) is None:
+        return ""
+    rounds, done = stopped["rounds"], sum(point["observations"] for point in summary["points"])
+    after = f"It ended after {plural(len(rounds), 'round')}, to {rounds[-1]} observations, {done} in all"
+    confidence, target = percent(stopped["confidence"]), percent(stopped["target_error"])
+    reasons = {
+        "confidence": f"the best point is known with a confidence of {confidence} at least",
+        "target": f"the ratios of the points that may be the best are known to {target}",
+        "all": "the points that may be the best have all their observations",
+    }
+    return f"{after}: {reasons[stopped['reason']]}."
+
+
 def _scores(summary: Content) -> Iterator[Column]:
     """Columns of sigma(A) of each data set; the terminal shows the actual data."""
     points = summary["points"]
@@ -115,6 +149,26 @@ def _score_columns(points: Sequence[Content], name: str, heading: str) -> tuple[
     values, errors = (_of_scores(points, name, key) for key in ("sigma_ukcmb2", "error_ukcmb2"))
     names, absent = (f"sigma_{name}", f"error_{name}"), "not scored" if name == ACTUAL else ""
     return quoted_columns(names, values, errors, heading, unit="uK2", absent=absent)
+
+
+def _metrics(summary: Content) -> Iterator[Column]:
+    """Columns of all metrics of the actual data but sigma(A); people see the one that points are compared by."""
+    points, compared = summary["points"], summary["metric"]["key"]
+    for key in _in_order(point["metrics"] for point in points):
+        if key == SIGMA_KEY:
+            continue
+        entries = [point["metrics"].get(key, {}) for point in points]
+        unit = next(entry["unit"] for entry in entries if entry)
+        of = {name: [entry.get(name) for entry in entries] for name in ("value", "error", "forecast")}
+        if summary["kind"] == "simulated":
+            names = key, f"error_{key}"
+            shown, errors = quoted_columns(names, of["value"], of["error"], heading(key, unit), unit=unit)
+            yield shown if key == compared else file_column(shown.name, shown.values, shown.unit)
+            yield errors
+        if any(value is not None for value in of["forecast"]):
+            title = heading(key, unit) if summary["kind"] == "forecast" else "its forecast"
+            shown = column(f"forecast_{key}", of["forecast"], title, number, unit=unit)
+            yield shown if key == compared else file_column(shown.name, shown.values, shown.unit)
 
 
 def _of_scores(points: Sequence[Content], name: str, key: str) -> list[float | None]:

@@ -85,6 +85,9 @@ def refused(call, scene, *arguments):
         ("field.dec=91 deg", ("field.dec: found '91 deg'; -90 deg to 90 deg",)),
         ("name=..", ("name: found '..'",)),
         ("assumed=[]", ("assumed: unknown key",)),
+        ("exces=", ("exces", "unknown key; did you mean excess?")),
+        ("assumed=", ("assumed", "unknown key")),
+        ("scan.speed=", ("scan.speed: missing",)),
     ],
 )
 def test_wrong_scene(call, scene, setting, words):
@@ -109,7 +112,7 @@ def test_set_values(tmp_path):
     parse = options.setting
     assert parse("a=3") == ("a", 3) and parse("a = [1, 2]") == ("a", [1, 2])
     assert parse("a=4 arcmin / s") == ("a", "4 arcmin / s") == parse('a="4 arcmin / s"')
-    assert parse("a=1\nb=2") == ("a", "1\nb=2") and parse("a=") == ("a", "") and parse("a=x=y") == ("a", "x=y")
+    assert parse("a=1\nb=2") == ("a", "1\nb=2") and parse("a=") == ("a", None) and parse("a=x=y") == ("a", "x=y")
 
 
 @pytest.mark.parametrize("workers", ["0", "-1"])

@@ -95,10 +95,18 @@ def test_a_survey_that_cannot_be_scored_keeps_the_reason(result, monkeypatch):
             "found 'a.b' as 'of' of 'time_to'; one of flat_band_power.sig",
         ),
         ('kind = "time_to"\nof = "time_to.hours"\nvalue = 1', "found 'time_to.hours' as 'of'"),
-        ('kind = "band_powers"\nedges = [2000, 4000]', "exactly one of 'spectrum' and 'file' is expected"),
+        ('kind = "band_powers"\nedges = [2000, 4000]', "score.metrics.0.spectrum: missing; this key is expected"),
+        (
+            'kind = "band_powers"\nedges = [2000, 4000]\nspectrum = "flat.ecsv"',
+            "flat.ecsv: no such file in the folder of the scene; a table of ell and cl is expected",
+        ),
+        (
+            'kind = "band_powers"\nedges = [2000, 4000]\nspectrum = "steep"',
+            "score.metrics.0.spectrum: found 'steep'; 'flat', 'poisson', 'clustered' or the name of a file is expected",
+        ),
         (
             'kind = "band_powers"\nedges = [2000, 4000]\nspectrum = "flat"',
-            "score.metrics.0.band_power: it is expected together with 'spectrum'",
+            "score.metrics.0.band_power: missing; spectrum 'flat' needs it",
         ),
         (
             'kind = "band_powers"\nedges = [4000, 2000]\nspectrum = "flat"\nband_power = "1 uK2"',

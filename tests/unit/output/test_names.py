@@ -25,6 +25,7 @@ def name(*settings):
         (("field.dec=-5 deg",), "lynx+field.dec=-5deg"),
         (("atmosphere.site=mauna_kea",), "lynx+atmosphere.site=mauna_kea"),
         (("instrument.layout.dead=[1, 8]",), "lynx+instrument.layout.dead=1,8"),
+        (("excess=", "seed=3"), "lynx+excess=+seed=3"),
     ],
 )
 def test_names(settings, expected):

@@ -29,7 +29,7 @@ KEYS = {
 }  # fmt: skip
 SCORED_KEYS = {
     "estimate", "time_to_precision", "forecast_over_simulated", "forecast", "error_budget", "gains",
-    "alternatives", "bin_correlation",
+    "alternatives", "bin_correlation", "metrics",
 }  # fmt: skip
 SETS = ("actual", "uncorrelated", "white", "masked_7")
 
@@ -59,7 +59,10 @@ def test_files(finished):
         "scene.toml",
         "scores.npz",
         "summary.json",
-        *(f"tables/{name}.ecsv" for name in ("alternatives", "map_psd", "observations", "scores", "timestream_psd")),
+        *(
+            f"tables/{name}.ecsv"
+            for name in ("alternatives", "map_psd", "metrics", "observations", "scores", "timestream_psd")
+        ),
     ]
 
 

@@ -118,7 +118,7 @@ def test_a_schedule_of_a_named_site_may_have_its_own_place(dated):
     "changes, words",
     [
         (OWN_SITE | {"site.latitude": "100 deg"}, "site.latitude: found '100 deg'; -90 deg to 90 deg is expected"),
-        (OWN_SITE | {"site.height": None}, "site.height: found None"),
+        (OWN_SITE | {"site.height": None}, "site.height: missing"),
         (OWN_SITE | {"site.heigth": "4 km"}, "site.heigth: unknown key; did you mean site.height?"),
         (OWN_SITE | {"site.height": "7 km"}, "site: found a height of 7000 m; 0 to 6000 m is allowed"),
         (OWN_SITE | {"site.temperature": "200 K"}, "site: found 200 K at a height of 4500 m; 213.7 to 288.7 K"),

@@ -125,3 +125,18 @@ def test_resolved_scene_names_its_units(path):
     text = resolved(load_scene(path))
     for name in ("speed_rad_s", "duration_s", "frequency_hz", "psd_mk2_hz", "layer_height_m"):
         assert f'"{name}"' in text
+
+
+def test_none_removes_a_key_or_a_section(path):
+    whole = load_scene(path)
+    less = load_scene(path, {"excess": None, "numerics": None, "photon.load": None, "site.height": None})
+    assert less.excess is None and less == whole.model_copy(update={"excess": None})
+    with pytest.raises(SceneError, match="exces.*did you mean excess"):
+        load_scene(path, {"exces": None})
+    with pytest.raises(SceneError, match="scan.speed: missing"):
+        load_scene(path, {"scan.speed": None})
+
+
+def test_assumed_values_go_with_their_section(tmp_path):
+    path = write_scene(tmp_path, SMALL_SCENE.replace('band_limit = "1 Hz"', 'band_limit = "1 Hz"  # assumed'))
+    assert load_scene(path).assumed and not load_scene(path, {"excess": None}).assumed

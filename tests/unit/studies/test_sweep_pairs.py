@@ -75,7 +75,7 @@ def test_any_point_may_be_the_reference(speeds, tmp_path):
     other = run_sweep(replace(result.sweep, reference=2), tmp_path, engine=SERIAL, figures=False)
     assert other.comparison.reference == 2 and other.comparison.best == result.comparison.best
     np.testing.assert_array_equal(other.comparison.best_probability, result.comparison.best_probability)
-    sigma, found = result.comparison.sigma_ukcmb2, other.comparison
+    sigma, found = result.comparison.value, other.comparison
     np.testing.assert_array_equal(found.ratio, sigma / sigma[2])
     of_pairs = {(pair.point, pair.other): pair for pair in pairs(result)}
     assert found.paired_error[2] == found.independent_error[2] == 0
@@ -131,7 +131,7 @@ def test_estimates_of_a_sweep_are_of_one_kind(mixed, levels):
 def test_an_error_may_be_unknown_where_that_of_the_ratio_is_known(mixed, capsys):
     """Six observations without a forecast do not tell how well they sample the weather; the ratio need not know."""
     result, out = mixed
-    assert np.isnan(result.comparison.error_ukcmb2).tolist() == [False, False, True]
+    assert np.isnan(result.comparison.error).tolist() == [False, False, True]
     assert np.isfinite(result.comparison.paired_error).all() and np.isnan(result.comparison.independent_error[2])
     assert np.isfinite(result.comparison.best_probability).all()
     content = json.loads((out / "summary.json").read_text(), parse_constant=pytest.fail)
@@ -149,7 +149,7 @@ def test_unknown_errors_are_no_probabilities(write, tmp_path):
         write(WHITE.replace("observations = 4\n", "observations = 3\n") + LEVELS), tmp_path, engine=SERIAL
     )
     found = result.comparison
-    assert np.isnan(found.error_ukcmb2).all() and np.isnan(found.best_probability).all()
+    assert np.isnan(found.error).all() and np.isnan(found.best_probability).all()
     np.testing.assert_allclose(found.ratio, [1, 4, 1], rtol=1e-5)
     assert best_line(result).startswith("lowest: ") and "+- unknown" in best_line(result)
     assert best_line(result).endswith("its error is unknown, as there are too few observations")
@@ -170,7 +170,7 @@ def test_controlled_scores_keep_what_their_modes_say(levels):
     assert all(item.control is not None for item in items)
     rows = error_modes(items, [point.skies for point in levels.points])
     found = compare_runs(levels.points, np.random.default_rng(1))
-    np.testing.assert_array_equal(found.modes, rows)
+    np.testing.assert_allclose(found.modes, rows, rtol=1e-12, atol=1e-14)
 
 
 def test_the_terminal_names_points_by_their_axes(write, tmp_path, capsys):

@@ -59,7 +59,7 @@ def test_the_same_deviates_scale_exactly(levels):
     comparison = levels[0].comparison
     np.testing.assert_allclose(comparison.ratio, [1, 4, 1], rtol=1e-5)
     assert (comparison.paired_error < 1e-5 * comparison.ratio).all()
-    relative = comparison.error_ukcmb2 / comparison.sigma_ukcmb2
+    relative = comparison.error / comparison.value
     assert (relative > 0.05).all() and comparison.independent_error[0] == 0
     np.testing.assert_allclose(
         comparison.independent_error[1:], [4, 1] * np.hypot(relative[0], relative[1:]), rtol=1e-4
@@ -459,7 +459,7 @@ def test_figure_of_one_axis(levels):
     forecast, simulated = level.series
     assert (forecast.kind, simulated.kind) == ("line", "points")
     np.testing.assert_allclose(simulated.x, [2.5, 2.6, 10])  # by value, not by number
-    sigma, error = (getattr(levels[0].comparison, name)[[0, 2, 1]] for name in ("sigma_ukcmb2", "error_ukcmb2"))
+    sigma, error = (getattr(levels[0].comparison, name)[[0, 2, 1]] for name in ("value", "error"))
     np.testing.assert_array_equal(simulated.y, sigma)
     np.testing.assert_array_equal(simulated.high, sigma + error)
     apart, paired = ratio.series
@@ -473,7 +473,7 @@ def test_figure_keeps_points_of_one_value_apart(levels, tmp_path):
     assert level.x_label == "detector.psd" and not level.x_log and forecast.kind == "points"
     for series in (*level.series, *ratio.series):
         np.testing.assert_array_equal(series.x, [0, 1, 2])
-    np.testing.assert_array_equal(simulated.y, levels[0].comparison.sigma_ukcmb2)
+    np.testing.assert_array_equal(simulated.y, levels[0].comparison.value)
     keys = Axis("camera", ("a.extent", "a.pitch"), (("12 arcmin", 0.8), ("8 arcmin", 0.8), ("12 arcmin", 1.2)))
     result = replace(levels[0], sweep=replace(levels[0].sweep, axes=(keys,)))
     assert _ticks(result) == [f"extent = {a} arcmin\npitch = {b}" for a, b in ((12, 0.8), (8, 0.8), (12, 1.2))]
@@ -525,5 +525,5 @@ def test_a_sweep_in_a_notebook(levels):
     result, _ = levels
     assert repr(result).startswith("SweepResult of ") and len(repr(result).splitlines()) == 2 + len(result.points)
     found = result.table()
-    assert list(found["sigma_actual"].to_value("uK2")) == list(result.comparison.sigma_ukcmb2)
+    assert list(found["sigma_actual"].to_value("uK2")) == list(result.comparison.value)
     assert result._repr_html_().count("<tr>") == 1 + len(result.points) and len(result.plot().axes) == 2

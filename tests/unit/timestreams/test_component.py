@@ -7,16 +7,17 @@ import pytest
 
 from surveysim.forecasting import forecast as forecasting
 from surveysim.forecasting.closed_forms import CLOSED_FORMS
+from surveysim.forecasting.forecast import forecast
 from surveysim.reduction.setup import prepare
-from surveysim.results.stages import stages_that_run
-from surveysim.runtime.errors import NotForecastableError
+from surveysim.results.stages import left_out, stages_that_run
+from surveysim.runtime.errors import NotForecastableError, SceneError
 from surveysim.scene.noise_and_sky import StreamSections
 from surveysim.scene.readout import ReadoutSections
 from surveysim.scene.scene import load_scene
 from surveysim.timestreams import component
 from surveysim.timestreams.component import COMPONENTS, present_components
 from surveysim.timestreams.observation import draw_observation
-from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
+from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE, write_scene
 
 
 @pytest.fixture
@@ -38,6 +39,32 @@ def test_present_components(scene, tmp_path):
     path = tmp_path / "white.toml"
     path.write_text(WHITE_NOISE_SCENE)
     assert [item.name for item in present_components(load_scene(path))] == ["detector"]
+
+
+def test_no_turbulence_leaves_the_weather(tmp_path):
+    """Streams without the layer are those of a scene without an atmosphere, and excess noise still knows B2."""
+    path = write_scene(tmp_path)
+    calm = {"atmosphere.turbulence": "none", "cleaning.responsivities": "known"}
+    streams = [
+        draw_observation(prepare(load_scene(path, settings)), 1)
+        for settings in (
+            calm | {"excess": None},
+            {"atmosphere": None, "excess": None, "cleaning.algorithm": "none"},
+            {"excess": None},
+        )
+    ]
+    np.testing.assert_array_equal(streams[0].data_mk, streams[1].data_mk)
+    assert (streams[0].data_mk != streams[2].data_mk).any()
+    drawn = prepare(load_scene(path, calm))
+    assert [item.name for item in present_components(drawn.scene)] == ["excess", "sky", "photon", "detector"]
+    assert left_out(drawn)["atmosphere"] == "atmosphere.turbulence is 'none'"
+    assert draw_observation(drawn, 1).attributes["b2_mk2"] == streams[2].attributes["b2_mk2"]
+    assert (
+        forecast(drawn).scores["actual"].band.sigma_ukcmb2
+        < forecast(prepare(load_scene(path, {"cleaning.responsivities": "known"}))).scores["actual"].band.sigma_ukcmb2
+    )
+    with pytest.raises(SceneError, match="cleaning.responsivities: found 'scan' with 'average' and no turbulence"):
+        prepare(load_scene(path, {"atmosphere.turbulence": "none"}))
 
 
 @pytest.mark.parametrize("through_response", [True, False])

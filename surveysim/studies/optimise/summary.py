@@ -1,0 +1,84 @@
+"""Content of summary.json of an optimisation."""
+
+import math
+from collections import Counter
+from typing import Any
+
+from surveysim.reduction.setup import prepare
+from surveysim.runtime.provenance import made_by, now
+from surveysim.runtime.strict_json import known
+from surveysim.scene.scene import scene_hash
+from surveysim.studies.optimise.evaluation import Evaluation
+from surveysim.studies.optimise.expressions import key_value
+from surveysim.studies.optimise.knobs import Knob
+from surveysim.studies.optimise.result import OptimiseResult
+from surveysim.studies.sweep.result import pairs
+from surveysim.studies.sweep.summary import sweep_summary
+
+
+def optimum_summary(result: OptimiseResult) -> dict[str, Any]:
+    """Return the content of an optimisation's summary.json."""
+    problem, found = result.problem, result.found
+    scene, options = problem.scene, problem.options
+    refused = Counter(item.reason or "beyond a limit" for item in found.evaluations if not item.allowed)
+    content: dict[str, Any] = {
+        "scene": scene.name,
+        "title": scene.title,
+        "seed": scene.seed,
+        "scene_sha256": scene_hash(scene),
+        **made_by(),
+        "optimum": {
+            "metrics": [{"key": key, "unit": result.unit(key)} for key in options.metrics],
+            "detectors": prepare(scene).camera.n_det,
+            "evaluations": len(found.evaluations),
+            "refused": dict(refused.most_common()),
+            "spent": found.spent,
+            "limits": [item.model_dump(exclude_none=True) for item in options.limits],
+            "knobs": [_knob_entry(result, number) for number in range(len(problem.knobs))],
+            "best": _design_entry(found.evaluations[found.best]),
+            "designs": [{"name": item.name} | _design_entry(found.evaluations[item.number]) for item in found.designs],
+            "front": [_design_entry(found.evaluations[number]) for number in found.front],
+        },
+        "warnings": result.warnings,
+        "run": {"date": now(), "engine": result.engine, "workers": result.workers, "wall_s": result.wall_s},
+    }
+    if math.isfinite(found.scatter):
+        content["optimum"]["scatter"] = found.scatter
+    if result.simulated is not None:
+        content["simulated"] = sweep_summary(result.simulated, pairs(result.simulated))
+    return content
+
+
+def _design_entry(item: Evaluation) -> dict[str, Any]:
+    entry = {"settings": item.settings, "metrics": item.metrics, "flags": list(item.flags)}
+    return entry | known({"discarded": item.discarded})
+
+
+def _knob_entry(result: OptimiseResult, number: int) -> dict[str, Any]:
+    """Range, best value, values within 1 % and importance of one knob."""
+    problem, found = result.problem, result.found
+    knob = problem.knobs[number]
+    entry: dict[str, Any] = {"key": knob.key, "unit": knob.unit, "scale": "log" if knob.log else "linear"}
+    if knob.choices:
+        entry["choices"] = [knob.value(place) for place in knob.steps()]
+    else:
+        entry |= {"low": knob.value(0.0), "high": knob.value(1.0)}
+    present = key_value(problem.content, knob.key)
+    entry["best"] = found.evaluations[found.best].settings[knob.key]
+    if present is not None:
+        entry["as_it_is"] = present
+    if found.ranges:
+        entry["within_1_percent"] = _within(knob, found.ranges[number])
+    if found.importance:
+        names = ("first", "first_error", "total", "total_error")
+        entry["importance"] = known({name: float(getattr(found.importance, name)[number]) for name in names})
+    return entry
+
+
+def _within(knob: Knob, item: Any) -> dict[str, Any]:
+    return {
+        "low": knob.value(item.low),
+        "high": knob.value(item.high),
+        "low_end": item.ends[0],
+        "high_end": item.ends[1],
+    }
