@@ -1,6 +1,7 @@
 """One block of an observation, drawn and cleaned by every pipeline."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from surveysim.timestreams.scan_blocks import Block
 class CleanedBlock:
     """A block with its streams, without gaps in `data_mk` (n_det, n_samp), and auxiliary data.
 
-    For each pipeline, with the detectors that have samples in the block: pixels (n_det, n_samp) and cleaned streams.
+    For each pipeline, with the detectors that have samples in the block: cleaned streams.
     """
 
     setup: Setup
@@ -29,9 +30,18 @@ class CleanedBlock:
     streams: DrawnBlock
     data_mk: np.ndarray
     pipelines: tuple[CleaningPipeline, ...]
-    index: tuple[np.ndarray, ...]
     auxiliary: AuxiliaryData
     cleaned: tuple[Cleaned, ...]
+
+    @cached_property
+    def index(self) -> tuple[np.ndarray, ...]:
+        """Pixels (n_det, n_samp) of the samples of each pipeline: -1 for lost samples and off the map."""
+        pointing, plane = self.pointing, self.streams.focal_plane
+        angle = pointing.array_angle_rad[pointing.scan]
+        pixels = boresight_pixels(self.setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
+        if self.streams.flags is not None:
+            pixels[self.streams.flags] = -1
+        return tuple(pixels[pipeline.rows] for pipeline in self.pipelines)
 
 
 def reduce_block(
@@ -46,12 +56,6 @@ def reduce_block(
     """Draw and clean one block of an observation with the pointing `whole`; without delays they are the block's own."""
     streams = draw_block(setup, observation, whole, block, watch)
     pointing, plane, pipelines = streams.of.pointing, streams.focal_plane, live_pipelines(setup, streams.live)
-    with watch("pixels"):
-        angle = pointing.array_angle_rad[pointing.scan]
-        pixels = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
-        if streams.flags is not None:
-            pixels[streams.flags] = -1
-        index = tuple(pixels[pipeline.rows] for pipeline in pipelines)
     data_mk = streams.filled(streams.data_mk)
     with watch("wind"):
         bands = _other_bands(setup, observation, whole, block, streams.data_mk)
@@ -70,9 +74,7 @@ def reduce_block(
                 sample_rate_hz=setup.observing.scans.sample_rate_hz,
             )
         cleaned.append(item)
-    return CleanedBlock(
-        setup, observation, block, pointing, streams, data_mk, pipelines, index, auxiliary, tuple(cleaned)
-    )
+    return CleanedBlock(setup, observation, block, pointing, streams, data_mk, pipelines, auxiliary, tuple(cleaned))
 
 
 def _other_bands(setup: Setup, observation: int, whole: Pointing, block: Block, data_mk: np.ndarray) -> np.ndarray:

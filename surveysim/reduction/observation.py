@@ -174,7 +174,9 @@ def _add_part(sums: _Sums, part: CleanedBlock, save: Callable[[CleanedBlock], No
     save(part)
     with watch("spectra"):
         _add_spectra(sums, part)
-    for pipeline, index, item in zip(part.pipelines, part.index, part.cleaned, strict=True):
+    with watch("pixels"):
+        pixels = part.index
+    for pipeline, index, item in zip(part.pipelines, pixels, part.cleaned, strict=True):
         with watch("binning"):
             weight, bounds = setup.analysis.weight_of(pipeline.rows), part.streams.scan_bounds
             bin_samples(weighted(item.data_mk, weight), index, bounds, item.kept, *sums.maps[pipeline.data_set])
