@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from surveysim.studies.optimise.problem import Problem
     from surveysim.studies.optimise.store import EvaluationStore
 
-EVERY_S = 4.0  # between two lines of progress
+EVERY_S = 10.0  # between two lines of progress
 MOST_IMPORTANCE = 4096
 
 
