@@ -94,9 +94,11 @@ class PointingErrors(Section):
 class TimeConstants(Section):
     """Time constants of the detectors: a low-pass filter with one pole, and its deconvolution."""
 
-    value_s: Duration | None = Field(alias="value", default=None)
+    value_s: Annotated[float, *quantity("s", at_least=0, at_most="10 day", zero_or="1 us")] | None = Field(
+        alias="value", default=None
+    )
     """Time constant of the detectors, up to a tenth of a scan. Alternative: the column `time_constant` of the table
-    `instrument.positions`."""
+    `instrument.positions`. 0 filters nothing, with the same random numbers as other values."""
     scatter: Share = 0.0
     """Scatter of `value` between detectors: standard deviation of its logarithm."""
     deconvolution_error: Annotated[float, *number(0, 0.5)] | None = None

@@ -227,6 +227,13 @@ def test_one_value_is_that_of_a_table(tmp_path, ready):
     np.testing.assert_array_equal(same.camera.deconvolved_s, np.full(19, 0.2))
 
 
+def test_a_time_constant_of_0_filters_nothing(ready):
+    """But photon and detector noise are drawn apart, as with any other."""
+    signal = {"photon": None, "detector.psd": "1e-12 mK2/Hz"}
+    none, plain = (draw_observation(ready(signal | of), 0).data_mk for of in ({"time_constants.value": "0 s"}, {}))
+    np.testing.assert_array_equal(none, plain)
+
+
 def test_scatter_and_errors_of_time_constants(ready):
     settings = {"time_constants.value": "0.1 s", "time_constants.scatter": 0.2, "instrument.layout.rings": 8}
     camera = ready(settings | {"time_constants.deconvolution_error": 0.05}).camera
