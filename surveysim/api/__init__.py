@@ -7,6 +7,7 @@ from typing import Any
 from surveysim.api.band_sweeps import forecast_band_sweep, plan_band_sweep, run_band_sweep
 from surveysim.api.bands import forecast_bands, plan_bands, run_bands
 from surveysim.api.budgets import budget
+from surveysim.api.comparisons import compare
 from surveysim.api.optimum import optimise
 from surveysim.api.surveys import PROCESSES, forecast_survey, plan_survey, run_survey, simulate_observation
 from surveysim.api.sweeps import forecast_single_sweep, plan_single_sweep, run_single_sweep
@@ -27,6 +28,7 @@ from surveysim.survey.coadd_tree import CoAddTree
 
 __all__ = [
     "budget",
+    "compare",
     "forecast",
     "forecast_band_sweep",
     "forecast_bands",

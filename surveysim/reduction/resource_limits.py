@@ -16,7 +16,6 @@ from surveysim.scene.scene import Scene
 from surveysim.telescope.noise_levels import stop_emits
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.scans import Scans, samples_per_scan
-from surveysim.timestreams.component import loses_samples
 from surveysim.timestreams.simulation import AirSetup
 
 if TYPE_CHECKING:
@@ -145,7 +144,7 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     more_sums = (sums_held(scene.observations, sums) - 1) * sums
     compared = 2 + len(scene.cleaning.compare)
     # Flags, and streams whose gaps are filled, beside the streams.
-    filled = of.n_det * of.n_samp * of.n_scans * (1 + 2 * real) if loses_samples(scene) else 0
+    filled = of.n_det * of.n_samp * of.n_scans * (1 + 2 * real) if scene.losses else 0
     # A block of one scan does not depend on the limit.
     block_key = "numerics.max_block_memory" if of.n_scans > 1 else "scan.duration"
     needed = {

@@ -12,7 +12,7 @@ from surveysim.report.terminal.layout import Terminal
 from surveysim.report.terminal.tables import show_table
 from surveysim.results.agreement import GOOD_SIGMA
 from surveysim.results.method import CONTROLLED, PLAIN, method
-from surveysim.results.metric_tables import metric_table
+from surveysim.results.metric_tables import metric_notes, metric_table
 from surveysim.results.results import SurveyResult
 from surveysim.results.stopping import UNLIMITED, Estimate
 from surveysim.results.summary import summary
@@ -55,6 +55,8 @@ def print_result(result: SurveyResult, directory: Path, verbose: bool = False) -
             show_table(console, gain_table(content["gains"], dict(reference.gains) if reference else {}))
         if metrics := metric_table(content["metrics"]):
             show_table(console, metrics)
+            for line in metric_notes(content["metrics"]):
+                console.say(line)
     if result.unscored:
         console.say(f"Not scored: {result.unscored}")
     if verbose:

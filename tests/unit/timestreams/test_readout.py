@@ -86,7 +86,8 @@ def test_a_line_has_its_psd_and_variance(width):
 GLITCHES = """
 [glitches]
 rate = "20000 / h"
-amplitude = "[50, 5000] mK"
+amplitude = "50 mK"
+largest_amplitude = "5000 mK"
 slope = 1.5
 decay_time = "0.15 s"
 found = 0.75
@@ -216,7 +217,9 @@ def test_dead_detectors_and_scans_are_those_of_the_observation(make):
         ("[readout_noise]\n", "at least one of 'detector', 'group' and 'array'"),
         ("[dead_time]\n", "one of the two is expected"),
         (GLITCHES + "threshold = 5\n", "exactly one of 'found' and 'threshold'"),
-        (GLITCHES.replace("slope = 1.5", ""), "slope: missing; two amplitudes need it"),
+        (GLITCHES.replace("5000 mK", "50 mK"), "largest_amplitude: found 50 mK; more than 'amplitude', 50 mK, is exp"),
+        (GLITCHES.replace('largest_amplitude = "5000 mK"', ""), "slope: found without 'largest_amplitude'"),
+        (GLITCHES.replace("slope = 1.5", ""), "slope: missing; 'largest_amplitude' needs it"),
         (
             '[dropped_samples]\nrate="1 / h"\nlength="1 s"\nshared="array"\ngroup_size=3\n',
             "group_size: found with shar",

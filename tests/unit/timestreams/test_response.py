@@ -368,3 +368,20 @@ def test_pointing_drifts_slowly_and_otherwise_in_each_observation(ready):
 def test_refused(ready, settings, words):
     with pytest.raises(SceneError, match=words):
         ready(settings)
+
+
+def test_lost_samples_widen_by_the_reach_of_the_deconvolution(ready):
+    """Two samples on both sides, within a scan: a glitch of any size then leaves nothing."""
+    settings = {"glitches.rate": "600 / h", "glitches.amplitude": "1000 mK", "glitches.found": 1.0}
+    settings |= {"glitches.decay_time": "0 s", "time_constants.value": "0.2 s"}
+    alone, quiet = {"detector.psd": "0 mK2/Hz"}, dict.fromkeys(("atmosphere", "excess", "photon", "sky", "score"))
+    quiet |= {"cleaning.algorithm": "none"}
+    of = block_of(ready(settings | alone | quiet | {"time_constants.deconvolution_error": 0.0}))
+    narrow = draw_block(ready(settings | alone | quiet), 0, of.whole, of.block, Stopwatch()).flags
+    drawn = draw_block(of.setup, 0, of.whole, of.block, Stopwatch())
+    expected = np.zeros_like(narrow)
+    for d, n in np.argwhere(narrow):
+        scan = n // 60 * 60
+        expected[d, max(scan, n - 2) : min(scan + 60, n + 3)] = True
+    np.testing.assert_array_equal(drawn.flags, expected)
+    assert narrow.any() and not np.abs(drawn.data_mk[~drawn.flags]).max() > 0 and np.abs(drawn.data_mk).max() > 900
