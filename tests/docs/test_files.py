@@ -71,7 +71,7 @@ observations = [4, 1]
 
 [sweep.weather]
 "atmosphere.b2" = ["{TURBULENT}", "{TURBULENT}", "{CALM}"]
-"scan.scans" = [4, 5, 2]
+"scan.scans" = [4, 5, 3]
 """
 
 
@@ -79,10 +79,11 @@ observations = [4, 1]
 def made(tmp_path_factory):
     """Folders with what each command writes, by the headings of the page."""
     folder = tmp_path_factory.mktemp("files")
+    sweep = _sweep(folder)
     return {
-        "A run": [_rich_run(folder), _unscored_run(folder)],
+        "A run": [_rich_run(folder), _unscored_run(folder), folder / "points" / "0"],
         "A camera of several bands": [_bands(folder)],
-        "A sweep": [_sweep(folder)],
+        "A sweep": [sweep],
         "A comparison": [_comparison(folder)],
         "A forecast": [_forecast(folder)],
         "Accuracy": [_accuracy(folder)],
