@@ -51,11 +51,21 @@ BESIDE: dict[str, Mapping[str, Any]] = {
     "optics.stop.temperature": OPTICS | {"instrument.horn_f_lambda": 0.7},
     "optics.central_obscuration": OPTICS | {"optics.aperture": "10 m"},
     "optics.aperture_efficiency": OPTICS | {"optics.aperture": "10 m"},
+    "responsivity_drift.rms": {"responsivity_drift.time_scale": "1 day"},
+    "responsivity_drift.time_scale": {"responsivity_drift.rms": 0.01},
+    "responsivity_drift.load_scatter": {"responsivity_drift.load_coefficient": "0.01 / K"},
+    "responsivity_drift.calibration_elevation": {"responsivity_drift.load_coefficient": "0.01 / K"},
+    "time_constants.scatter": {"time_constants.value": "1 ms"},
+    "time_constants.deconvolution_error": {"time_constants.value": "1 ms"},
+    "crosstalk.group_size": {"crosstalk.group_fraction": 0.01},
+    "pointing_errors.jitter_bandwidth": {"pointing_errors.jitter": "1 arcsec"},
+    "pointing_errors.drift": {"pointing_errors.drift_time_scale": "1 day"},
+    "pointing_errors.drift_time_scale": {"pointing_errors.drift": "1 arcsec"},
     "fixed_pointing.elevation": {"schedule": None, "fixed_pointing.parallactic_angle": "10 deg"},
     "fixed_pointing.parallactic_angle": {"schedule": None, "fixed_pointing.elevation": "50 deg"},
 }
 # Lists, and numbers in tables that a scene has any number of: unit tests have their own of these.
-LISTS = ("score.metrics.", "optics.elements.", "sky.point_sources.", "score.reference.")
+LISTS = ("score.metrics.", "optimise.", "optics.elements.", "sky.point_sources.", "score.reference.")
 
 
 def bounds(item: Mapping[str, Any]) -> tuple[float | None, float | None]:

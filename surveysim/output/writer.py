@@ -3,6 +3,7 @@
 import gc
 import logging
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -83,7 +84,8 @@ def _write_scores(path: Path, result: SurveyResult) -> list[Path]:
     """Write the part of the scores that comparisons with other runs need; no file without a score."""
     if not result.scores:
         return []
-    save_point(path, point_result(result), scene_hash(result.setup.scene))
+    # Without the run time, which summary.json has, the file depends on the scene alone.
+    save_point(path, replace(point_result(result), wall_s=0.0), scene_hash(result.setup.scene))
     return [path]
 
 

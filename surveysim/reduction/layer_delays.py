@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.cleaning import slowness
-from mapmaker.timestreams import FocalPlane
+from mapmaker.lost_samples import fill_flagged
+from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.wind import MIN_SCANS, WindTransforms, fit_wind, scan_velocities, wind_transforms
 from surveysim.reduction.setup import Setup
 from surveysim.telescope.pointing import Pointing
@@ -35,16 +36,20 @@ class LayerMotion:
     used: np.ndarray
 
 
-def layer_motion(drawn: DrawnBlock, sample_rate_hz: float) -> LayerMotion:
+def layer_motion(streams: Timestreams, sample_rate_hz: float) -> LayerMotion:
     """Measure the layer's motion in the streams of one block, without lost scans and detectors without a sample."""
-    streams, used = drawn.timestreams(), ~drawn.lost_scans
-    velocity, data = scan_velocities(streams), drawn.filled(streams.data_mk)
+    bounds, velocity, data = streams.scan_bounds, scan_velocities(streams), streams.data_mk
+    used = np.ones(len(bounds), bool)
+    if (flags := streams.flags) is not None:
+        used = np.array([not flags[:, start:stop].all() for start, stop in bounds])
+        data = fill_flagged(data, bounds, flags)
+        data[flags.all(axis=1)] = 0  # the wind leaves constant detectors out
+        for start, stop in bounds[~used]:
+            data[:, start:stop] = 0  # not finite otherwise
     if not used.any():
         return LayerMotion(None, velocity, used)
-    if drawn.flags is not None:  # the wind leaves constant detectors out
-        data = np.where(np.isfinite(data) & drawn.live[:, None], data, data.dtype.type(0))
-    bounds, plane = streams.scan_bounds[used], streams.focal_plane
-    return LayerMotion(wind_transforms(data, bounds, plane, sample_rate_hz=sample_rate_hz), velocity, used)
+    transforms = wind_transforms(data, bounds[used], streams.focal_plane, sample_rate_hz=sample_rate_hz)
+    return LayerMotion(transforms, velocity, used)
 
 
 def measured_delays(blocks: Sequence[LayerMotion], plane: FocalPlane) -> np.ndarray:
@@ -71,7 +76,7 @@ def block_delays(setup: Setup, drawn: DrawnBlock) -> np.ndarray:
     """Measure the slowness (n_scan, 2) [s/rad] in the streams of one block; 0 where no pipeline uses it."""
     if not setup.analysis.uses_wind:
         return np.zeros((len(drawn.scan_bounds), 2))
-    motion = layer_motion(drawn, setup.observing.scans.sample_rate_hz)
+    motion = layer_motion(drawn.timestreams(), setup.observing.scans.sample_rate_hz)
     return measured_delays([motion], drawn.focal_plane)
 
 
@@ -90,4 +95,4 @@ def delays_of_all_blocks(setup: Setup, observation: int, whole: Pointing, watch:
 def _block_motion(setup: Setup, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> LayerMotion:
     drawn = draw_block(setup, observation, whole, block, watch)
     with watch("wind"):
-        return layer_motion(drawn, setup.observing.scans.sample_rate_hz)
+        return layer_motion(drawn.timestreams(), setup.observing.scans.sample_rate_hz)

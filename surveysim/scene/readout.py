@@ -12,17 +12,15 @@ from surveysim.scene.fields import (
     NoisePsd,
     Share,
     number,
-    quantities,
     quantity,
     whole,
 )
 from surveysim.scene.section import Section
-from surveysim.scene.units import shown
 
 MOST_LOST = 0.9  # largest fraction of detectors, or scans, that [dead_time] takes
 
-Rate = Annotated[float, *quantity("Hz", "1 / h", at_least=0, at_most="1000 / s")]
-Amplitudes = Annotated[tuple[float, ...], *quantities("mK", "[5, 500] mK", zero_or="1e-9 mK", at_most="1e9 mK")]
+Rate = Annotated[float, *quantity("Hz", "1 / h", at_least=0, at_most="1 Hz")]
+Amplitude = Annotated[float, *quantity("mK", at_least="1e-9 mK", at_most="1e6 K")]
 GroupSize = Annotated[int, *whole(2, 1_000_000)]
 _GROUPS: JsonDict = {"otherwise": "groups of the table's column `readout_group`"}
 
@@ -30,7 +28,7 @@ _GROUPS: JsonDict = {"otherwise": "groups of the table's column `readout_group`"
 class RedNoise(Section):
     """1/f noise: a power law of frequency, which equals the white noise at the knee."""
 
-    knee_hz: Frequency = Field(alias="knee")
+    knee_hz: Annotated[float, *quantity("Hz", at_least="1e-6 Hz", at_most="1000 Hz")] = Field(alias="knee")
     """Frequency at which the PSD is `psd`."""
     slope: Annotated[float, *number(0.1, 2.5)]
     """The PSD is proportional to f to minus this power."""
@@ -103,10 +101,15 @@ class Glitches(Section):
 
     rate_hz: Rate = Field(alias="rate")
     """Glitches of a detector in a time."""
-    amplitude_mk: Amplitudes = Field(alias="amplitude")
-    """Amplitude, Rayleigh-Jeans: one for all, or the least and the largest of a power law."""
+    amplitude_mk: Amplitude = Field(alias="amplitude")
+    """Amplitude, Rayleigh-Jeans; the least with `largest_amplitude`."""
+    largest_amplitude_mk: Amplitude | None = Field(
+        alias="largest_amplitude", default=None, json_schema_extra={"otherwise": "`amplitude`"}
+    )
+    """Largest amplitude of a power law."""
     slope: Annotated[float, *number(0, 10)] | None = None
-    """Glitches of the amplitude A to A + dA are A to minus this power in number. Required with two amplitudes."""
+    """Glitches of the amplitude A are A to minus this power in number, for equal steps of A. Required with
+    `largest_amplitude`."""
     decay_time_s: DurationExtent = Field(alias="decay_time")
     """Time in which a glitch decays by a factor e; 0 for single samples."""
     found: Share | None = None
@@ -117,17 +120,24 @@ class Glitches(Section):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        amplitudes = self.amplitude_mk
-        if not (len(amplitudes) == 1 or (len(amplitudes) == 2 and amplitudes[0] < amplitudes[1])):
-            raise ValueError(f"amplitude: found {shown(amplitudes)}; one value, or two that rise, is expected")
-        if not amplitudes[0] > 0:
-            raise ValueError(f"amplitude: found {shown(amplitudes)}; values above 0 are expected")
-        if (len(amplitudes) == 2) != (self.slope is not None):
-            found = "missing; two amplitudes need it" if self.slope is None else "found with one amplitude"
-            raise ValueError(f"slope: {found}")
+        largest = self.largest_amplitude_mk
+        if largest is not None and largest <= self.amplitude_mk:
+            raise ValueError(
+                f"largest_amplitude: found {largest:g} mK; more than 'amplitude', {self.amplitude_mk:g} mK, is expected"
+            )
+        if (largest is None) != (self.slope is None):
+            needs = (
+                "missing; 'largest_amplitude' needs it" if self.slope is None else "found without 'largest_amplitude'"
+            )
+            raise ValueError(f"slope: {needs}")
         if (self.found is None) == (self.threshold is None):
             raise ValueError("exactly one of 'found' and 'threshold' is expected")
         return self
+
+    @property
+    def extremes_mk(self) -> tuple[float, float]:
+        """Least and largest amplitude."""
+        return self.amplitude_mk, self.largest_amplitude_mk or self.amplitude_mk
 
 
 class DroppedSamples(Shared):
@@ -147,12 +157,6 @@ class DeadTime(Section):
     scans: Annotated[float, *number(0, MOST_LOST)] = 0.0
     """Fraction of the scans of an observation without data."""
 
-    @model_validator(mode="after")
-    def _is_there(self) -> Self:
-        if not self.detectors and not self.scans:
-            raise ValueError("detectors: found 0 without 'scans'; one of the two is expected")
-        return self
-
 
 class ReadoutSections(Section):
     """Sections of readout noise and lost data; each can be left out."""
@@ -163,3 +167,8 @@ class ReadoutSections(Section):
     glitches: Glitches | None = None
     dropped_samples: DroppedSamples | None = None
     dead_time: DeadTime | None = None
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """Names of the sections that flag samples as lost."""
+        return tuple(name for name in ("glitches", "dropped_samples", "dead_time") if getattr(self, name))

@@ -46,8 +46,7 @@ def flagged_length(section: Glitches, sample_rate_hz: float) -> int:
 
 def glitch_amplitudes(section: Glitches, uniform: np.ndarray) -> np.ndarray:
     """Amplitudes [mK] at uniform numbers (n,): the inverse of the cumulated power law."""
-    low, high = section.amplitude_mk[0], section.amplitude_mk[-1]
-    power = 1 - (section.slope or 0.0)
+    (low, high), power = section.extremes_mk, 1 - (section.slope or 0.0)
     if low == high:
         return np.full(uniform.shape, low)
     if power == 0:
@@ -69,7 +68,7 @@ def _integral(low: float, high: np.ndarray, power: float) -> np.ndarray:
 
 def missed_moment(section: Glitches, white_mk2_hz: np.ndarray, sample_rate_hz: float, order: int) -> np.ndarray:
     """Mean of A^order over all glitches where they are missed, else 0, in white noise of some PSDs (n,)."""
-    low, high, slope = section.amplitude_mk[0], section.amplitude_mk[-1], section.slope or 0.0
+    (low, high), slope = section.extremes_mk, section.slope or 0.0
     if section.found is not None:
         edge, share = np.full(np.shape(white_mk2_hz), high), 1 - section.found
     else:

@@ -19,6 +19,7 @@ from surveysim.timestreams.observed_block import ObservedBlock, observation_weat
 from surveysim.timestreams.response import BlockResponse, block_response
 from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.simulation import Simulation, observation_path
+from surveysim.timestreams.time_constants import widen_flags
 
 
 class Stopwatch:
@@ -155,6 +156,8 @@ def sample_flags(of: ObservedBlock, watch: Stopwatch) -> np.ndarray | None:
     for item in present:
         with watch(item.name):
             item.flag(lost, of)
+    if lost is not None:
+        widen_flags(of.setup, lost)
     return lost
 
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from mapmaker.kernels.pixels import add_sky
 from mapmaker.timestreams import FocalPlane
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.telescope.pointing import Pointing
@@ -43,6 +42,8 @@ def add_seen_sky(
     ValueError
         For streams or gains of other samples or detectors than those of the pointing and the camera.
     """
+    from mapmaker.kernels.pixels import add_sky
+
     grid, plane = setup.sky.geometry, plane or setup.camera.focal_plane
     n_det, n_samp = len(plane.x_rad), len(pointing.xi_rad)
     if data_mk.shape != (n_det, n_samp) or gain.shape != (n_det,):

@@ -9,6 +9,8 @@ from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.observed_block import ObservedBlock
 from surveysim.timestreams.simulation import Simulation
 
+_REACH = 2  # samples on both sides that a derivative takes
+
 
 def time_constants(of: ObservedBlock, seen_mk: np.ndarray) -> Callable[[np.ndarray], None]:
     """Filter what detectors see with their time constants."""
@@ -41,6 +43,17 @@ def deconvolution(of: ObservedBlock, seen_mk: np.ndarray) -> Callable[[np.ndarra
     scans = of.setup.observing.scans
     lead = of.setup.camera.deconvolved_s * scans.sample_rate_hz
     return lambda data_mk: add_derivative(data_mk, samples_per_scan(scans), lead)
+
+
+def widen_flags(setup: Simulation, lost: np.ndarray) -> None:
+    """Flag the samples (n_det, n_samp) whose deconvolution takes lost samples of their scan, in place."""
+    if setup.camera.deconvolved_s is None:
+        return
+    scans = lost.reshape(len(lost), -1, samples_per_scan(setup.observing.scans))
+    stated = scans.copy()
+    for places in range(1, _REACH + 1):
+        scans[..., places:] |= stated[..., :-places]
+        scans[..., :-places] |= stated[..., places:]
 
 
 def derivative_response(frequency_hz: np.ndarray, sample_rate_hz: float) -> np.ndarray:

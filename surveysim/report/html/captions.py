@@ -114,7 +114,7 @@ FORECAST_SWEEP = Caption(
 BUDGET = Caption(
     "Survey time by stage",
     "Bars of survey time from the least scene to the whole one, and the cost of each stage removed or added alone.",
-    "Across: survey time that gives the same σ(A), in percent of the whole scene's. Left: each bar adds the cost of a "
+    "Across: survey time that gives the same score, in percent of the whole scene's. Left: each bar adds the cost of a "
     "stage added alone to the least scene (grey at the top); the orange bar is the rest of the whole scene's time, the "
     "interactions of the stages. Right: the cost of each stage, removed alone from the whole scene (discs) and added "
     "alone to the least one (squares). Bars are paired errors, for simulated points.",

@@ -26,7 +26,8 @@ def _lines(section: Sequence[Values]) -> Iterator[str]:
 
 
 def _glitches(section: Values) -> Iterator[str]:
-    sizes = " to ".join(map(short, section["amplitude_mk"]))
+    least, largest = section["amplitude_mk"], section["largest_amplitude_mk"]
+    sizes = short(least) if largest is None else f"{short(least)} to {short(largest)}"
     yield f"{short(3600 * section['rate_hz'])} an hour in each detector, of {sizes} mK,"
     yield f"that decay in {short(section['decay_time_s'])} s."
     if section["found"] is not None:

@@ -80,6 +80,11 @@ CASES = {
         FILTER | {"instrument.bandwidth": 0.1},
         "optics: NETs have 1.606 K_CMB per K_RJ, through atmosphere and optics; maps and sigma(A) have 1.653, of",
     ),
+    "lost samples": (
+        {"dead_time": {"detectors": 0.1, "scans": 0.12}},
+        {"dead_time": {"detectors": 0.1, "scans": 0.1}},
+        "[dead_time]: 21 % of the samples are lost; more than 20 % are many.",
+    ),
     "boresight": (OFF, NEAR, "instrument: the middle of the array is 9 arcmin off the boresight, beyond its own half"),
 }
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from surveysim.reduction import cleaned_block
 from surveysim.reduction import observation as reduction
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, apply_pipeline
 from surveysim.reduction.layer_delays import delays_of_all_blocks, layer_motion, measured_delays
@@ -60,6 +61,22 @@ def test_streams_in_blocks_have_the_delays_of_the_whole(setup_of, n):
     np.testing.assert_allclose(measured_delays(parts, streams.focal_plane), whole, rtol=1e-5)
 
 
+def test_delays_without_lost_data(setup_of):
+    """Dead detectors, a lost scan, gaps of all detectors and of each: with wild values there, the same delays."""
+    setup, rng = setup_of(1), np.random.default_rng(1)
+    streams, rate = draw_observation(setup, 0), setup.observing.scans.sample_rate_hz
+    whole = measured_delays([layer_motion(streams, rate)], streams.focal_plane)
+    flags = rng.random(streams.data_mk.shape) < 0.01
+    flags[[3, 20, 41]] = flags[:, slice(*streams.scan_bounds[2])] = True
+    flags[:, streams.scan_bounds[4, 0] + 70 : streams.scan_bounds[4, 0] + 75] = True
+    wild = np.where(flags, np.float32(1e4) * rng.standard_normal(flags.shape, np.float32), streams.data_mk)
+    motion = layer_motion(replace(streams, data_mk=wild, flags=flags), rate)
+    assert motion.used.tolist() == [True] * 2 + [False] + [True] * 5 and motion.transforms.live.sum() == len(flags) - 3
+    apart = np.linalg.norm(measured_delays([motion], streams.focal_plane) - whole, axis=1)
+    assert (apart < 0.02 * np.linalg.norm(whole, axis=1)).all()
+    assert layer_motion(replace(streams, flags=np.ones_like(flags)), rate).transforms is None
+
+
 @pytest.mark.parametrize("blocks", [2, 8])
 def test_blocks_are_cleaned_as_the_same_streams_side_by_side(setup_of, blocks):
     """Blocks of four scans, and of one, in which no wind can be measured."""
@@ -67,7 +84,7 @@ def test_blocks_are_cleaned_as_the_same_streams_side_by_side(setup_of, blocks):
     streams, (_, pointing) = draw_observation(setup, 0), observation_path(setup.observing, 0)
     delays = delays_of_all_blocks(setup, 0, pointing, Stopwatch())
     parts = [
-        reduction._reduce(setup, 0, pointing, block, delays_s_rad=delays, watch=Stopwatch())
+        cleaned_block.reduce_block(setup, 0, pointing, block, delays_s_rad=delays, watch=Stopwatch())
         for block in setup.observing.blocks
     ]
     rate, pipeline = setup.observing.scans.sample_rate_hz, setup.analysis.pipelines[0]
@@ -90,7 +107,7 @@ def test_blocks_are_cleaned_as_the_same_streams_side_by_side(setup_of, blocks):
 
 
 def test_other_cleaning_needs_no_pass_before(setup_of, monkeypatch):
-    drawn, draw = [], reduction.draw_block
+    drawn, draw = [], cleaned_block.draw_block
     monkeypatch.setattr("surveysim.reduction.layer_delays.draw_block", lambda *args: drawn.append(args) or draw(*args))
     reduction.observe(setup_of(2, **{"cleaning.algorithm": "average"}), 0, with_signal_sims=False)
     reduction.observe(setup_of(1), 0, with_signal_sims=False)
