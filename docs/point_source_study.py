@@ -158,25 +158,40 @@ def uncleaned(item: Survey) -> np.ndarray:
     return np.fft.irfft2(source * (up @ along), (n, n)) * PEAK_MK / pixel**2
 
 
-def filters(cleaning: str, seeds: Iterable[int]) -> dict[str, MatchedFilter]:
-    """Make matched filters from simulated surveys, by what they know of the signal that cleaning leaves.
+@dataclass(frozen=True)
+class Calibration:
+    """Matched filters of surveys, by what they know of the signal that cleaning leaves, and their blank maps.
 
     "all": nothing is lost. "power": the root of the transfer function of power, from CMB skies. "amplitude": the
     amplitude of simulated sources, from surveys with and without them.
     """
-    noise, skies, sources = [], [], []
+
+    filters: dict[str, MatchedFilter]
+    blank: list[Survey]
+
+    @property
+    def chi2(self) -> float:
+        """Mean square of amplitudes over stated scatter in the blank maps, where sources are drawn."""
+        found = [mm.filtered_map(self.filters["amplitude"], item.image, item.weight) for item in self.blank]
+        reach = int(REACH * ARCMIN / self.blank[0].setup.analysis.geometry.pixel_rad)
+        middle = slice(len(found[0].amplitude) // 2 - reach, len(found[0].amplitude) // 2 + reach)
+        return float(np.mean([((one.amplitude / one.scatter)[middle, middle] ** 2).mean() for one in found]))
+
+
+def calibration(cleaning: str, seeds: Iterable[int]) -> Calibration:
+    """Make matched filters from simulated surveys."""
+    blank, left, whole = [], [], []
     for seed in seeds:
         item, empty = survey(cleaning, seed), survey(cleaning, seed, sources=False)
-        pad = item.setup.analysis.region.pad
-        noise.append(empty.noise_psd)
-        skies.append(empty.psd(weighted_mean(empty.coadds.signal_maps[:, 0], empty.coadds.signal_weight[0])))
-        sources.append((pad(item.image - empty.image), uncleaned(item)))
+        blank.append(empty)
+        left.append(item.setup.analysis.region.pad(item.image - empty.image))
+        whole.append(uncleaned(item))
     region, pixel = item.setup.analysis.region, item.setup.analysis.geometry.pixel_rad
+    skies = [one.psd(weighted_mean(one.coadds.signal_maps[:, 0], one.coadds.signal_weight[0])) for one in blank]
     reference, cleaned = np.concatenate(skies).transpose(1, 0, 2)
-    left, whole = (np.array(maps) for maps in zip(*sources, strict=True))
     power = mm.measure_transfer_function(cleaned, reference, region.rings.ell)
     amplitude = mm.measure_amplitude_transfer(
-        left, whole, taper=region.padded_taper, pixel_rad=pixel, rings=region.rings
+        np.array(left), np.array(whole), taper=region.padded_taper, pixel_rad=pixel, rings=region.rings
     )
     transfers = {
         "all": np.ones(len(region.rings.ell)),
@@ -184,11 +199,12 @@ def filters(cleaning: str, seeds: Iterable[int]) -> dict[str, MatchedFilter]:
         "amplitude": amplitude.transmission,
     }
     given = {"mask": region.selected, "rings": region.rings, "pixel_rad": pixel}
-    noise_psd = np.mean(noise, axis=0)
-    return {
+    noise_psd = np.mean([one.noise_psd for one in blank], axis=0)
+    filters = {
         name: mm.source_filter(profile(item.setup), noise_psd, transfer=transfer, **given)
         for name, transfer in transfers.items()
     }
+    return Calibration(filters, blank)
 
 
 def measured(cleaning: str, items: dict[str, MatchedFilter], seeds: Iterable[int]) -> dict[str, Measurement]:
@@ -207,31 +223,29 @@ def measured(cleaning: str, items: dict[str, MatchedFilter], seeds: Iterable[int
 
 def row(cleaning: str) -> str:
     """Row of the table for one cleaning."""
-    items = filters(cleaning, CALIBRATION)
-    found = measured(cleaning, items, SKIES)
+    known = calibration(cleaning, CALIBRATION)
+    found = measured(cleaning, known.filters, SKIES)
     amplitude = found["amplitude"]
     cells = [
         f"`{cleaning}`",
-        f"{1e3 * items['power'].sigma:.0f}",
-        f"{1e3 * items['amplitude'].sigma:.0f}",
+        *(f"{1e3 * known.filters[name].sigma:.0f}" for name in ("power", "amplitude")),
         f"{100 * found['all'].bias:+.1f}",
-        f"{100 * found['power'].bias:+.2f}",
-        f"{100 * amplitude.bias:+.2f}",
+        *(f"{100 * found[name].bias:+.2f}" for name in ("power", "amplitude")),
         f"{100 * amplitude.bias_error:.2f}",
         f"{amplitude.chi2:.3f}",
+        f"{known.chi2:.3f}",
     ]
     return "| " + " | ".join(cells) + " |\n"
 
 
 def table() -> str:
     """Markdown: depths, biases and chi^2 of each cleaning."""
-    head = (
-        "| cleaning | depth, sqrt(T) [uK] | depth, a [uK] | bias without [%] | sqrt(T) [%] | a [%] | error [%] "
-        "| chi^2, a |\n|---|---:|---:|---:|---:|---:|---:|---:|\n"
-    )
+    head = "| cleaning | depth [uK], sqrt(T) | depth [uK], a | bias [%], without | bias [%], sqrt(T) | bias [%], a "
+    head += "| error [%] | chi^2 | chi^2, blank |\n|---|---:|---:|---:|---:|---:|---:|---:|---:|\n"
     return head + "".join(map(row, CLEANINGS))
 
 
 if __name__ == "__main__":
+    today = table()
     before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
-    PAGE.write_text(f"{before}{BEGIN}\n{table()}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+    PAGE.write_text(f"{before}{BEGIN}\n{today}\n{END}{rest.split(END)[1]}", encoding="utf-8")

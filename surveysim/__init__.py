@@ -12,6 +12,7 @@ _PUBLIC = {
     "run": "surveysim.api",
     "forecast": "surveysim.api",
     "plan": "surveysim.api",
+    "compare": "surveysim.api",
     "load_sweep": "surveysim.studies.sweep.axes",
     "load_band_sweep": "surveysim.studies.sweep.bands",
     "run_sweep": "surveysim.api",

@@ -65,7 +65,7 @@ BESIDE: dict[str, Mapping[str, Any]] = {
     "fixed_pointing.parallactic_angle": {"schedule": None, "fixed_pointing.elevation": "50 deg"},
 }
 # Lists, and numbers in tables that a scene has any number of: unit tests have their own of these.
-LISTS = ("score.metrics.", "optics.elements.", "sky.point_sources.", "score.reference.")
+LISTS = ("score.metrics.", "optimise.", "optics.elements.", "sky.point_sources.", "score.reference.")
 
 
 def bounds(item: Mapping[str, Any]) -> tuple[float | None, float | None]:

@@ -15,7 +15,9 @@ from surveysim.output.writer import write_budget
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL, Engine
 from surveysim.runtime.errors import NotForecastableError
+from surveysim.scene.metrics import SIGMA_KEY
 from surveysim.scene.scene import Scene
+from surveysim.studies.budget.exponent import noise_exponent
 from surveysim.studies.budget.points import WHOLE, Budget, load_budget
 from surveysim.studies.budget.result import BudgetResult
 from surveysim.studies.sweep.comparison import (
@@ -31,6 +33,7 @@ def budget(
     scene: Budget | Scene | str | Path,
     out: str | Path | None = None,
     *,
+    metric: str = SIGMA_KEY,
     simulate: bool = True,
     pairs: bool = False,
     engine: Engine = PROCESSES,
@@ -48,9 +51,12 @@ def budget(
     Parameters
     ----------
     scene
-        A scene of `load_scene`, the path of its file, or its name.
+        A scene of `load_scene`, the path of its file, or its name; or the result of `load_budget`, which has `metric`
+        and `pairs`.
     out
         Directory for the results. Finished points are kept in its folder points/ until the results are written.
+    metric
+        Key of the quantity that costs are of, such as "point_source.depth_mjy"; by default sigma(A).
     simulate
         Run the points; otherwise forecast them, within seconds and without Monte Carlo errors.
     pairs
@@ -68,7 +74,7 @@ def budget(
 
     Returns
     -------
-    The costs of all stages: ratios of sigma(A), and survey time as a share of the whole scene's.
+    The costs of all stages: ratios of the metric, and survey time as a share of the whole scene's.
 
     Raises
     ------
@@ -80,21 +86,22 @@ def budget(
         As for `run`.
     """
     start = perf_counter()
-    ready = scene if isinstance(scene, Budget) else load_budget(scene, pairs=pairs)
+    ready = scene if isinstance(scene, Budget) else load_budget(scene, metric=metric, pairs=pairs)
     sweep, workers = ready.sweep, engine.workers_for(len(ready.sweep.points)) if simulate else 1
 
     def result_of(kept: Path | None) -> BudgetResult:
         if simulate:
             points = of_one_kind(run_points(sweep, kept, engine, resume, progress))
             with threadpool_limits(1):  # the same bits on any machine
-                comparison = compare_runs(points, np.random.default_rng(DRAWS_SEED), WHOLE)
+                comparison = compare_runs(points, np.random.default_rng(DRAWS_SEED), WHOLE, sweep.metric)
         else:
             points = forecast_points(sweep, progress)
             if reason := points[WHOLE].unscored:
                 raise NotForecastableError(reason)
-            comparison = compare_forecasts(points, WHOLE)
+            comparison = compare_forecasts(points, WHOLE, sweep.metric)
         kind = engine.kind if simulate else SERIAL.kind
-        return BudgetResult(ready, points, comparison, simulate, perf_counter() - start, workers, kind)
+        exponent = noise_exponent(sweep, points[WHOLE])
+        return BudgetResult(ready, points, comparison, exponent, simulate, perf_counter() - start, workers, kind)
 
     if out is None:
         return result_of(None)

@@ -6,7 +6,7 @@ import typer
 from typer.core import TyperArgument, TyperCommand
 
 from surveysim import __version__
-from surveysim.cli import budgets, optimise, runs, scenes, studies
+from surveysim.cli import budgets, compare, optimise, runs, scenes, studies
 from surveysim.runtime.printable import say
 
 app = typer.Typer(
@@ -21,6 +21,7 @@ COMMANDS = (
     budgets.budget,
     optimise.optimise,
     studies.accuracy,
+    compare.compare,
     runs.plan,
     studies.paper,
     scenes.report,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from surveysim.studies.optimise.problem import Problem
     from surveysim.studies.optimise.store import EvaluationStore
 
-EVERY_S = 4.0  # between two lines of progress
+EVERY_S = 10.0  # between two lines of progress
 MOST_IMPORTANCE = 4096
 
 
@@ -42,7 +42,7 @@ def optimise(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Search for the best design of a scene by forecast, then simulate it and its rivals."""
+    """Search for the best design of a scene by forecast."""
     with_engine = options.engine(engine, workers, scheduler)
     if importance and not (2 <= importance <= MOST_IMPORTANCE and importance & (importance - 1) == 0):
         fail(f"--importance: found {importance}; a power of two from 2 to {MOST_IMPORTANCE} is expected")

@@ -14,7 +14,6 @@ from surveysim.reduction.setup import Setup
 from surveysim.scene.observing import Scan
 from surveysim.scene.scene import Scene
 from surveysim.survey.discarded_scans import MOST_DISCARDED
-from surveysim.timestreams.component import loses_samples
 from surveysim.timestreams.crosstalk import CrosstalkMatrix
 from surveysim.timestreams.expected_losses import sampled_share
 
@@ -139,7 +138,7 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
             yield NeglectedEffect("cleaning", None, sentence, True)
     if setup.scene.crosstalk is not None and inputs.pipeline.detectors is not None:
         yield _crosstalk(setup, inputs.pipeline)
-    if loses_samples(setup.scene):
+    if setup.scene.losses:
         yield _lost_samples(setup.scene, inputs)
     if templates := len(PROJECTIONS[inputs.pipeline.label]):
         yield _few_detectors(templates, inputs.n_det)

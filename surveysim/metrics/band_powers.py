@@ -18,7 +18,7 @@ from surveysim.runtime.table import Table, file_column
 from surveysim.scene.metrics import PIVOT_ELL, BandPowers, spectrum_table
 from surveysim.survey.scores import DataSetScore
 
-_CLUSTERED = -1.2  # power of ell of C_ell: Addison et al. 2012 (ApJ 752, 120), abstract
+_CLUSTERED = -1.25  # power of ell of C_ell: Addison et al. 2012 (ApJ 752, 120), abstract
 
 
 def quantities(noise: MapNoise, options: BandPowers) -> tuple[Quantity, ...]:

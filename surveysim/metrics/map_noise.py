@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -41,10 +41,6 @@ class ScoredMap:
         Correlation of the noise PSDs of each bin and the next, through the taper.
     flat_psd : (n_bin,)
         Expected PSD [sr] of a flat spectrum of unit band power in the tapered map, before scans and cleaning.
-    beam_window, pixel_window : (n_bin,)
-        Power window functions of beam and map pixels at `ell`.
-    area_sr
-        Effective area of the taper T, ``pixel^2 (sum T^2)^2 / sum T^4``: 4 pi f_sky of `n_modes`.
     hours, scan_hours
         Observing time of the survey: scans and turnarounds, and scans alone.
     ukcmb_per_mk
@@ -69,9 +65,6 @@ class ScoredMap:
     selected: np.ndarray
     correlation: np.ndarray
     flat_psd: np.ndarray
-    beam_window: np.ndarray
-    pixel_window: np.ndarray
-    area_sr: float
     hours: float
     scan_hours: float
     ukcmb_per_mk: float
@@ -130,7 +123,7 @@ class Quantity:
     value
         Positive; NaN without a value, infinite for one that is out of reach.
     unit
-        Unit as astropy writes it; temperatures are CMB temperatures unless the name says otherwise.
+        Unit as astropy writes it: uK is of CMB temperature, mK of Rayleigh-Jeans temperature unless the name says CMB.
     lower_is_better
     note
         Remark for readers: the reason for a missing value, or a limit of the metric.
@@ -152,7 +145,6 @@ def scored_map(setup: Setup) -> ScoredMap:
     """Collect the properties of the scored map of a scene with a score."""
     analysis, scans, scene = setup.analysis, setup.observing.scans, setup.scene
     region, rings = analysis.region, analysis.region.rings
-    pixel_rad, squares = analysis.geometry.pixel_rad, region.taper**2
     return ScoredMap(
         ell=rings.ell,
         edges_ell=rings.edges_ell,
@@ -160,14 +152,11 @@ def scored_map(setup: Setup) -> ScoredMap:
         selected=region.selected,
         correlation=region.correlation,
         flat_psd=region.signal_psd,
-        beam_window=analysis.beams.window(rings.ell),
-        pixel_window=pixel_window(rings.ell, pixel_rad),
-        area_sr=float(pixel_rad**2 * squares.sum() ** 2 / np.sum(squares**2)),
         hours=scene.observations * duration_s(scans) / 3600,
         scan_hours=scene.observations * scans.n_scans * scans.scan_s / 3600,
         ukcmb_per_mk=1e3 * scene.instrument.cmb_per_rj,
         psd_of=partial(_spectrum_psd, setup),
-        power_of=partial(_source_power, analysis.beams, pixel_rad, rings.edges_ell),
+        power_of=partial(_source_power, analysis.beams, analysis.geometry.pixel_rad, rings.edges_ell),
         beam_sr=2 * np.pi * scene.instrument.beam_fwhm_rad**2 / (8 * np.log(2)),
         mjy_per_mk=2 * BOLTZMANN_J_K * 1e-3 / (effective_area_m2(scene) * MJY),
         sz_ukcmb=1e6 * scene.instrument.band.sz_k_cmb,
@@ -190,7 +179,7 @@ def _spectrum_psd(setup: Setup, spectrum: Spectrum) -> np.ndarray:
 
 def noise_of_score(setup: Setup, item: DataSetScore) -> tuple[MapNoise, MapNoise]:
     """Return the noise of a scored data set as quoted, over all weather with a control variate, and as simulated."""
-    exposure = partial(_exposure, setup, item.name)
+    exposure = cache(partial(_exposure, setup, item.name))
     passed = item.transfer_function.transmission
     plain = MapNoise(scored_map(setup), item.name, item.n_det, item.noise_psd, passed, exposure)
     return replace(plain, noise_psd=item.quoted_psd), plain
@@ -198,7 +187,7 @@ def noise_of_score(setup: Setup, item: DataSetScore) -> tuple[MapNoise, MapNoise
 
 def noise_of_forecast(setup: Setup, item: DataSetForecast, factor: np.ndarray | float = 1.0) -> MapNoise:
     """Return the forecast noise of a data set, times a factor (n_bin,)."""
-    exposure = partial(_exposure, setup, item.name)
+    exposure = cache(partial(_exposure, setup, item.name))
     return MapNoise(scored_map(setup), item.name, item.n_det, item.noise_psd * factor, item.transmission, exposure)
 
 

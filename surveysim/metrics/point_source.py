@@ -30,7 +30,7 @@ def quantities(noise: MapNoise, options: PointSourceDepth) -> tuple[Quantity, ..
     depth_mk /= region.ukcmb_per_mk
     depth_mjy = depth_mk * region.mjy_per_mk
     area_deg2 = noise.n_det * region.scan_hours * 3600 / noise.exposure() * _DEG2_PER_SR
-    speed = area_deg2 / (depth_mjy**2 * region.hours)
+    speed = float(area_deg2 / (depth_mjy**2 * region.hours))
     note = _note(region)
     return (
         Quantity("depth_mjy", depth_mjy, "mJy", note=note, response=response),

@@ -5,7 +5,15 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from surveysim.metrics import array_net, band_powers, cluster, flat_band_power, largest_scale, point_source, time_to
+from surveysim.metrics import (
+    array_net,
+    band_powers,
+    cluster,
+    flat_band_power,
+    largest_scale,
+    point_source,
+    time_to,
+)
 from surveysim.metrics.map_noise import MapNoise, Quantity
 from surveysim.runtime.table import Table
 from surveysim.scene import metrics as sections

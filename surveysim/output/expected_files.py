@@ -11,6 +11,7 @@ from surveysim.reduction.setup import Setup
 from surveysim.scene.bands import MultiBandScene, bands_hash
 from surveysim.scene.scene import Scene, scene_hash, survey_hash
 from surveysim.studies.budget.points import Budget
+from surveysim.studies.compare.comparison import RunComparison
 from surveysim.studies.convergence.records import MOST_SEEDS, REFERENCE_ERROR, SUB_SURVEY
 from surveysim.studies.optimise.problem import Problem
 from surveysim.studies.optimise.store import FILE as EVALUATIONS
@@ -43,6 +44,7 @@ _FIGURES = (
     "weather",
     "run_time",
 )
+COMPARISON_FIGURES = ("map_psd", "transfer_function", "timestream_psd")
 _PARTS = {"1": ("sites",), "2": ("photons",), "3": ("gains",)}  # parts of a table with separate files
 
 
@@ -155,6 +157,14 @@ def of_accuracy(scene: Scene, settings: Mapping[str, Any], figures: bool) -> Res
     names = (*COMMON, "accuracy.ecsv", *(["figures/accuracy.png"] if figures else []))
     identity = sha256(f"{scene_hash(scene)} {sorted(settings.items())}".encode()).hexdigest()
     return Results("accuracy", scene.name, identity, names, scene_files(scene))
+
+
+def of_comparison(result: RunComparison, figures: bool) -> Results:
+    """Return the results of a comparison of runs."""
+    drawn = (f"figures/{name}.png" for name in COMPARISON_FIGURES) if figures else ()
+    names = ("summary.json", "report.html", "tables/compare.ecsv", *drawn)
+    identity = sha256(" ".join(run.summary["scene_sha256"] for run in result.runs).encode()).hexdigest()
+    return Results("compare", " ".join(run.label for run in result.runs), identity, names)
 
 
 EXTREMES = Results("accuracy --extremes", "", "", ("extremes.ecsv",))

@@ -13,7 +13,6 @@ from surveysim.results.tables import alternative_table, score_table
 from surveysim.runtime.table import Column, Table, file_column
 from surveysim.survey.coadds import row_names
 from surveysim.telescope.scans import samples_per_scan
-from surveysim.timestreams.component import loses_samples
 
 if TYPE_CHECKING:
     from surveysim.forecasting.forecast import Forecast
@@ -102,7 +101,7 @@ def observation_table(result: SurveyResult) -> Table:
     columns = dict(zip(row_names(setup.analysis), np.array(result.coadds.rows).T, strict=True))
     if np.isnan(columns["pwv_mm"]).all():  # the scene has its own distribution of B2
         del columns["pwv_mm"]
-    if not loses_samples(setup.scene):
+    if not setup.scene.losses:
         del columns["flagged"]
     columns["observation"] = columns["observation"].astype(int)
     made = [file_column(name, values, units.get(name, "")) for name, values in columns.items()]

@@ -3,6 +3,7 @@
 import gc
 import logging
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +32,9 @@ from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import resolved, scene_hash
 from surveysim.studies.budget.result import BudgetResult
 from surveysim.studies.budget.summary import budget_summary
+from surveysim.studies.compare.comparison import RunComparison
+from surveysim.studies.compare.summary import comparison_summary
+from surveysim.studies.compare.tables import score_rows
 from surveysim.studies.optimise.result import OptimiseResult
 from surveysim.studies.optimise.summary import optimum_summary
 from surveysim.studies.optimise.tables import design_table, evaluation_table, front_table, optimum_table
@@ -74,7 +78,8 @@ def _write_scores(path: Path, result: SurveyResult) -> list[Path]:
     """Write the part of the scores that comparisons with other runs need; no file without a score."""
     if not result.scores:
         return []
-    save_point(path, point_result(result), scene_hash(result.setup.scene))
+    # Without the run time, which summary.json has, the file depends on the scene alone.
+    save_point(path, replace(point_result(result), wall_s=0.0), scene_hash(result.setup.scene))
     return [path]
 
 
@@ -176,6 +181,20 @@ def _of_optimum(result: OptimiseResult) -> Drawings:
     if simulated is not None and simulated.comparison.best:
         found["simulated"] = lambda path: draw_sweep(path, simulated)
     return found
+
+
+def write_comparison(directory: Path, result: RunComparison, figures: bool) -> None:
+    """Write table, figures, summary and report of a comparison of runs below `directory`."""
+    content = comparison_summary(result)
+    written = _write_table(directory / "tables" / "compare.ecsv", score_rows(content["compared"]))
+    drawn = partial(_of_comparison, result) if figures else None
+    write_summary(directory, content | made_by() | {"run": {"date": now()}}, [written], drawn)
+
+
+def _of_comparison(result: RunComparison) -> Drawings:
+    from surveysim.report.figures.compare import drawings
+
+    return drawings(result)
 
 
 def write_accuracy(directory: Path, result: "AccuracyResult", figures: bool) -> None:

@@ -12,7 +12,6 @@ from surveysim.atmosphere.water import pwv_quantile
 from surveysim.reduction.setup import Setup
 from surveysim.scene.detector_table import KEY
 from surveysim.telescope.optics import scene_chain
-from surveysim.timestreams.component import loses_samples, present_components
 from surveysim.timestreams.expected_losses import sampled_share
 from surveysim.timestreams.observed_block import observation_levels
 from surveysim.timestreams.simulation import camera_white
@@ -147,16 +146,14 @@ def _conversions(setup: Setup) -> str:
 
 def _lost_samples(setup: Setup) -> str:
     """Warn of a large expected share of lost samples, in the white noise of the first observation."""
-    if not loses_samples(setup.scene):
+    if not setup.scene.losses:
         return ""
     white = camera_white(setup.camera, observation_levels(setup, 0)).mean
     lost = 1 - float(sampled_share(setup.scene, np.array([white]))[0])
     if lost <= MOST_LOST:
         return ""
-    names = [f"[{item.name}]" for item in present_components(setup.scene) if item.flag is not None]
-    return (
-        f"{', '.join(names)}: {100 * lost:.0f} % of the samples are lost; more than {100 * MOST_LOST:.0f} % are many."
-    )
+    names = ", ".join(f"[{name}]" for name in setup.scene.losses)
+    return f"{names}: {100 * lost:.0f} % of the samples are lost; more than {100 * MOST_LOST:.0f} % are many."
 
 
 def _arcsec(angle: float) -> str:

@@ -6,61 +6,36 @@ they are drawn in a second pass. Wind cleaning needs the wind of all blocks, so 
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from mapmaker.cleaning import Cleaned
-from mapmaker.cleaning.responsivity import OBSERVATION
-from mapmaker.geometry import MapGeometry, boresight_pixels
+from mapmaker.geometry import MapGeometry
 from mapmaker.kernels.pixels import bin_samples
 from mapmaker.stream_psd import hann_power, white_level
 from mapmaker.timestreams import timestream_file
-from surveysim.reduction.analysis import AnalysisSetup
-from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL, AuxiliaryData, CleaningPipeline, apply_pipeline
+from surveysim.reduction.cleaned_block import CleanedBlock, reduce_block
+from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
 from surveysim.reduction.detector_weights import weighted
 from surveysim.reduction.figure_of_merit import TARGETS, best_places, figures_of_merit
-from surveysim.reduction.layer_delays import block_delays, delays_of_all_blocks
-from surveysim.reduction.live_detectors import live_pipelines
+from surveysim.reduction.layer_delays import delays_of_all_blocks
 from surveysim.reduction.map_noise import map_noise
 from surveysim.reduction.noise_only_sets import add_simulated
 from surveysim.reduction.observation_result import ObservationResult
 from surveysim.reduction.setup import Setup
+from surveysim.reduction.signal_maps import add_signal_maps, empty_signal_maps, scored_signal_maps
 from surveysim.reduction.stream_psds import cleaned_psd, mean_psd, psd_scale, sampled_scans
 from surveysim.runtime.once import keep_last
-from surveysim.scene.analysis import Cleaning
-from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.scans import samples_per_scan
-from surveysim.timestreams.observation import DrawnBlock, Stopwatch, draw_band, draw_block
+from surveysim.timestreams.observation import Stopwatch
 from surveysim.timestreams.observed_block import observation_weather
-from surveysim.timestreams.response import write_sky_signal
-from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.simulation import observation_path
 
 REFERENCE = (0, 1)  # observations that tell what pipelines leave of a signal: one along each direction
 
 
 Map = tuple[np.ndarray, np.ndarray]  # sums and hits, or exposures, (n_y, n_x) each
-
-
-@dataclass(frozen=True)
-class _Part:
-    """A block with its streams, without gaps in `data_mk` (n_det, n_samp), and auxiliary data.
-
-    For each pipeline, with the detectors that have samples in the block: pixels (n_det, n_samp) and cleaned streams.
-    """
-
-    setup: Setup
-    observation: int
-    block: Block
-    pointing: Pointing
-    streams: DrawnBlock
-    data_mk: np.ndarray
-    pipelines: tuple[CleaningPipeline, ...]
-    index: tuple[np.ndarray, ...]
-    auxiliary: AuxiliaryData
-    cleaned: tuple[Cleaned, ...]
 
 
 @dataclass
@@ -103,7 +78,9 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
     sums, delays = _empty_sums(setup, with_signal_sims), delays_of_all_blocks(setup, observation, pointing, watch)
     with _saved(path, len(pointing.time_s)) as save:
         for block in setup.observing.blocks:
-            _add_part(sums, _reduce(setup, observation, pointing, block, delays_s_rad=delays, watch=watch), save, watch)
+            _add_part(
+                sums, reduce_block(setup, observation, pointing, block, delays_s_rad=delays, watch=watch), save, watch
+            )
     kept, lost, measured = np.concatenate(sums.kept, axis=1), np.concatenate(sums.lost), _some(sums.sampled > 0)
     scale = psd_scale(setup.observing.scans, setup.stream_type)
     psd = sums.power / np.where(sums.sampled > 0, sums.sampled, 1)[:, None] * scale
@@ -139,7 +116,7 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
         exposure=weights,
         noise_mk2=noise,
         bin_noise_mk2=of_bins,
-        signal_maps=_scored_signal_maps(analysis, setup.stream_type, sums.signal_maps, best),
+        signal_maps=scored_signal_maps(analysis, setup.stream_type, sums.signal_maps, best),
         discarded=tuple((~kept & ~lost).sum(axis=1).tolist()),
         iterations=tuple(np.concatenate(sums.iterations, axis=1)[:, _some(~lost)].mean(axis=1).tolist()),
         removed=tuple(float(row[_some(of)].mean()) for row, of in zip(removed, kept, strict=True)),
@@ -156,7 +133,7 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
 
 
 @contextmanager
-def _saved(path: Path | None, n_samp: int) -> Iterator[Callable[[_Part], None]]:
+def _saved(path: Path | None, n_samp: int) -> Iterator[Callable[[CleanedBlock], None]]:
     """Write the streams of each block to a file of an observation of `n_samp` samples; to none without a path."""
     if path is None:
         yield lambda part: None
@@ -170,7 +147,7 @@ def kept_scans(setup: Setup, observation: int) -> np.ndarray:
     (_, pointing), watch = observation_path(setup.observing, observation), Stopwatch()
     delays = delays_of_all_blocks(setup, observation, pointing, watch)
     parts = (
-        _reduce(setup, observation, pointing, block, delays_s_rad=delays, watch=watch)
+        reduce_block(setup, observation, pointing, block, delays_s_rad=delays, watch=watch)
         for block in setup.observing.blocks
     )
     return np.concatenate([[item.kept | part.streams.lost_scans for item in part.cleaned] for part in parts], axis=1)
@@ -183,7 +160,7 @@ def _empty_sums(setup: Setup, with_signal_sims: bool) -> _Sums:
     # Noise-only sets have the hits of the actual data.
     maps = {name: (np.zeros(n_pixel), hits.get(name, hits[ACTUAL])) for name in names}
     power = np.zeros((setup.camera.n_det, samples_per_scan(setup.observing.scans) // 2 + 1))
-    signals = _empty_signal_maps(setup.analysis, setup.analysis.n_signal_skies) if with_signal_sims else None
+    signals = empty_signal_maps(setup.analysis, setup.analysis.n_signal_skies) if with_signal_sims else None
     exposure = {}
     if setup.analysis.weight is not None:
         exposure = {name: np.zeros(n_pixel) for name in hits}
@@ -191,13 +168,15 @@ def _empty_sums(setup: Setup, with_signal_sims: bool) -> _Sums:
     return _Sums(maps, exposure, signals, power, np.zeros(len(power)))
 
 
-def _add_part(sums: _Sums, part: _Part, save: Callable[[_Part], None], watch: Stopwatch) -> None:
+def _add_part(sums: _Sums, part: CleanedBlock, save: Callable[[CleanedBlock], None], watch: Stopwatch) -> None:
     """Add a reduced block to the sums; its streams are freed on return unless the caller keeps them."""
     setup = part.setup
     save(part)
     with watch("spectra"):
         _add_spectra(sums, part)
-    for pipeline, index, item in zip(part.pipelines, part.index, part.cleaned, strict=True):
+    with watch("pixels"):
+        pixels = part.index
+    for pipeline, index, item in zip(part.pipelines, pixels, part.cleaned, strict=True):
         with watch("binning"):
             weight, bounds = setup.analysis.weight_of(pipeline.rows), part.streams.scan_bounds
             bin_samples(weighted(item.data_mk, weight), index, bounds, item.kept, *sums.maps[pipeline.data_set])
@@ -211,74 +190,10 @@ def _add_part(sums: _Sums, part: _Part, save: Callable[[_Part], None], watch: St
     sums.flagged += 0 if part.streams.flags is None else int(np.count_nonzero(part.streams.flags))
     if sums.signal_maps is not None:
         with watch("transfer_function"):
-            _add_signal_maps(sums.signal_maps, part, setup.analysis.signal_skies_mk)
+            add_signal_maps(sums.signal_maps, part, setup.analysis.signal_skies_mk)
 
 
-def _reduce(
-    setup: Setup,
-    observation: int,
-    whole: Pointing,
-    block: Block,
-    *,
-    delays_s_rad: np.ndarray | None,
-    watch: Stopwatch,
-) -> _Part:
-    """Draw and clean one block of an observation with the pointing `whole`; without delays they are the block's own."""
-    streams = draw_block(setup, observation, whole, block, watch)
-    pointing, plane, pipelines = streams.of.pointing, streams.focal_plane, live_pipelines(setup, streams.live)
-    with watch("pixels"):
-        angle = pointing.array_angle_rad[pointing.scan]
-        pixels = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
-        if streams.flags is not None:
-            pixels[streams.flags] = -1
-        index = tuple(pixels[pipeline.rows] for pipeline in pipelines)
-    data_mk = streams.filled(streams.data_mk)
-    with watch("wind"):
-        bands = _other_bands(setup, observation, whole, block, streams.data_mk)
-        delays = block_delays(setup, streams) if delays_s_rad is None else delays_s_rad[block.first : block.end]
-        auxiliary = AuxiliaryData(delays, bands, setup.analysis.calibration)
-    section, rate = setup.scene.cleaning, setup.observing.scans.sample_rate_hz
-    cleaned, everyone = [], np.ones(block.n_scans, bool)
-    for pipeline in pipelines:
-        with watch("cleaning" if pipeline.steps == section.algorithm else f"cleaning {pipeline.label}"):
-            data = data_mk[pipeline.rows]
-            item = _clean(section, pipeline, streams, data, auxiliary=auxiliary, scans=everyone, rate_hz=rate)
-        cleaned.append(item)
-    return _Part(setup, observation, block, pointing, streams, data_mk, pipelines, index, auxiliary, tuple(cleaned))
-
-
-def _other_bands(setup: Setup, observation: int, whole: Pointing, block: Block, data_mk: np.ndarray) -> np.ndarray:
-    """Draw the other bands (n_band, n_det, n_samp) that a pipeline subtracts, of the type of the streams `data_mk`."""
-    streams = np.empty((len(setup.others), *data_mk.shape), data_mk.dtype)
-    for band, out in zip(setup.others, streams, strict=True):
-        out[:] = draw_band(band, observation, whole, block)
-    return streams
-
-
-def _clean(
-    section: Cleaning,
-    pipeline: CleaningPipeline,
-    streams: DrawnBlock,
-    data_mk: np.ndarray,
-    *,
-    auxiliary: AuxiliaryData,
-    scans: np.ndarray,
-    rate_hz: float,
-) -> Cleaned:
-    """Clean some scans (n_scan,) bool of the streams of a pipeline's detectors."""
-    auxiliary = replace(auxiliary, delays_s_rad=auxiliary.delays_s_rad[scans])
-    return apply_pipeline(
-        section,
-        pipeline,
-        data_mk,
-        scan_bounds=streams.scan_bounds[scans],
-        focal_plane=streams.focal_plane.subset(pipeline.rows),
-        auxiliary=auxiliary,
-        sample_rate_hz=rate_hz,
-    )
-
-
-def _add_spectra(sums: _Sums, part: _Part) -> None:
+def _add_spectra(sums: _Sums, part: CleanedBlock) -> None:
     streams, seen = part.streams, ~part.streams.lost_scans
     scale, rows = psd_scale(part.setup.observing.scans, part.setup.stream_type), part.pipelines[0].rows
     actual, *others = part.cleaned[: len(part.setup.analysis.whole_pipelines)]
@@ -300,69 +215,6 @@ def _plane(geometry: MapGeometry, dtype: np.dtype, total: np.ndarray, hits: np.n
     return total.reshape(shape).astype(dtype), hits.reshape(shape).astype(kind)
 
 
-def _empty_signal_maps(analysis: AnalysisSetup, n_sky: int) -> np.ndarray:
-    n_pixel = analysis.geometry.n_y * analysis.geometry.n_x
-    return np.zeros((n_sky, len(analysis.transfer_function_names), 2, n_pixel))
-
-
-def _add_signal_maps(signal_maps: np.ndarray, part: _Part, skies_mk: np.ndarray) -> None:
-    """Add each sky as a perfect pointing sees it, and the difference that it makes to the cleaned data."""
-    setup, section, streams = part.setup, part.setup.scene.cleaning, part.streams
-    rate, extra, raw = setup.observing.scans.sample_rate_hz, part.auxiliary, part.data_mk
-    bounds, signal = streams.scan_bounds, np.empty_like(streams.data_mk)
-    of_pipelines = list(zip(part.pipelines, part.index, part.cleaned, strict=True))
-    for s, sky in enumerate(skies_mk):
-        write_sky_signal(setup, part.pointing, sky, signal)
-        passed = streams.filled(streams.response.output(sky, signal))
-        for pipeline, index, base in of_pipelines:
-            seen, place = signal[pipeline.rows], setup.analysis.transfer_function_names.index(pipeline.data_set)
-            scans = _cleaned_again(section, pipeline, base.kept)
-            # Fits to scans begin with the responsivities without the signal, which hardly changes them.
-            near = replace(extra, first_guess=base.responsivity[scans] if scans is base.kept else None)
-            both = _clean(
-                section,
-                pipeline,
-                streams,
-                raw[pipeline.rows] + passed[pipeline.rows],
-                auxiliary=near,
-                scans=scans,
-                rate_hz=rate,
-            )
-            kept = base.kept.copy()
-            kept[scans] &= both.kept
-            if scans is not base.kept and not np.array_equal(kept, base.kept):
-                kept[:] = False  # another fit: the difference is not the signal's alone
-            difference = both.data_mk
-            difference -= base.data_mk
-            weight = setup.analysis.weight_of(pipeline.rows)
-            for state, data in enumerate((seen, difference)):
-                bin_samples(weighted(data, weight), index, bounds, kept, signal_maps[s, place, state], None)
-
-
-def _cleaned_again(section: Cleaning, pipeline: CleaningPipeline, kept: np.ndarray) -> np.ndarray:
-    """Select the scans (n_scan,) bool to clean once more with a signal: those kept without it.
-
-    Discarded scans would take all iterations for nothing. If all scans share one fit, all take part again unless it
-    failed.
-    """
-    together = section.responsivities == OBSERVATION and pipeline.takes_responsivities
-    return np.ones_like(kept) if together and kept.any() else kept
-
-
-def _scored_signal_maps(
-    analysis: AnalysisSetup, dtype: np.dtype, signal_maps: np.ndarray | None, best: int
-) -> np.ndarray | None:
-    """Cut the signal maps to the scored patch; the optimal set takes those of the best pipeline."""
-    if signal_maps is None:
-        return None
-    patch, names = analysis.region.patch, analysis.transfer_function_names
-    maps = signal_maps.reshape(*signal_maps.shape[:3], analysis.geometry.n_y, analysis.geometry.n_x)
-    maps = maps[..., patch, patch].astype(dtype)
-    if analysis.chooses:
-        maps[:, names.index(OPTIMAL)] = maps[:, names.index(analysis.whole_pipelines[best].data_set)]
-    return maps
-
-
 @keep_last(2)
 def transfer_functions(setup: Setup) -> np.ndarray:
     """Measure the power transfer function of each pipeline for a flat CMB sky and for a point source.
@@ -380,7 +232,7 @@ def transfer_functions(setup: Setup) -> np.ndarray:
     powers = np.zeros((len(setup.analysis.whole_pipelines), len(TARGETS), 2, len(setup.analysis.region.rings.ell)))
     for observation in REFERENCE:
         signals = _signals_in_central_blocks(setup, observation % setup.scene.observations, skies)
-        maps = _scored_signal_maps(setup.analysis, setup.stream_type, signals, 0)
+        maps = scored_signal_maps(setup.analysis, setup.stream_type, signals, 0)
         for r, pipeline in enumerate(setup.analysis.whole_pipelines):
             place = setup.analysis.transfer_function_names.index(pipeline.data_set)
             for s, state in np.ndindex(powers.shape[1:3]):
@@ -390,11 +242,11 @@ def transfer_functions(setup: Setup) -> np.ndarray:
 
 def _signals_in_central_blocks(setup: Setup, observation: int, skies_mk: np.ndarray) -> np.ndarray:
     """Simulate signals in the blocks of an observation that reach the centre of the map, and nothing else."""
-    signal_maps, watch = _empty_signal_maps(setup.analysis, len(skies_mk)), Stopwatch()
+    signal_maps, watch = empty_signal_maps(setup.analysis, len(skies_mk)), Stopwatch()
     _, pointing = observation_path(setup.observing, observation)
     delays = delays_of_all_blocks(setup, observation, pointing, watch)
     blocks = setup.observing.blocks
     for block in blocks[(len(blocks) - 1) // 2 : len(blocks) // 2 + 1]:
-        part = _reduce(setup, observation, pointing, block, delays_s_rad=delays, watch=watch)
-        _add_signal_maps(signal_maps, part, skies_mk)
+        part = reduce_block(setup, observation, pointing, block, delays_s_rad=delays, watch=watch)
+        add_signal_maps(signal_maps, part, skies_mk)
     return signal_maps

@@ -1,7 +1,9 @@
 """Tables of metrics, from the content of summary.json."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.runtime.numbers import as_known, number, quoted
@@ -9,7 +11,7 @@ from surveysim.runtime.table import Column, Table, column, file_column
 from surveysim.scene.metrics import SIGMA_KEY
 
 Content = Mapping[str, Any]  # content of summary.json
-_UNITS = {"uK2": "uK_CMB^2", "mK s(1/2)": "mK sqrt(s)", "mK": "mK_CMB"}
+_UNITS = {"uK2": "uK_CMB^2", "mK s(1/2)": "mK sqrt(s)"}
 _TITLE = "Further scores of the same maps"
 
 
@@ -55,9 +57,10 @@ def metric_table(metrics: Content) -> Table | None:
     columns = [column("metric", keys, "metric"), _units([entry["unit"] for entry in actual])]
     for name, found in metrics.items():
         entries = [found[key] for key in keys]
-        columns.append(column(name, entries, name, metric_text))
+        columns.append(_numbers(name, [entry["value"] for entry in entries], map(metric_text, entries)))
         if name == ACTUAL and any(entry.get("forecast") is not None for entry in actual):
-            columns.append(column("forecast", actual, "forecast", _forecast_text))
+            forecasts = [entry.get("forecast") for entry in actual]
+            columns.append(_numbers("forecast", forecasts, map(_forecast_text, actual)))
     return Table("metric", _TITLE, tuple(columns))
 
 
@@ -75,8 +78,9 @@ def metric_forecast_table(metrics: Mapping[str, Mapping[str, Any]]) -> Table | N
         return None
     columns = [column("metric", keys, "metric"), _units([first[key].unit for key in keys])]
     for name, found in metrics.items():
-        cells = [number(found[key].value) if not found[key].note else found[key].note for key in keys]
-        columns.append(column(name, cells, name))
+        items = [found[key] for key in keys]
+        cells = (number(item.value) if np.isfinite(item.value) else item.note for item in items)
+        columns.append(_numbers(name, [item.value for item in items], cells))
     return Table("metric", _TITLE, tuple(columns))
 
 
@@ -99,14 +103,37 @@ def heading(key: str, unit: str) -> str:
 def metric_text(entry: Content) -> str:
     """Format a value with its error, or the reason for none."""
     value = entry["value"]
-    if entry.get("note"):
-        return entry["note"]
+    if value is None or not np.isfinite(value):
+        return entry.get("note", "unknown")
     return quoted(value, entry["error"])
+
+
+def metric_notes(metrics: Content) -> list[str]:
+    """Return a line for each note on values that there are, from the entry `metrics`."""
+    return _notes((key, entry["value"], entry.get("note", "")) for key, entry in metrics[ACTUAL].items())
+
+
+def metric_forecast_notes(metrics: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return a line for each note on values that there are, from forecasts as for `metric_forecast_table`."""
+    first = next(iter(metrics.values()), {})
+    return _notes((key, item.value, item.note) for key, item in first.items())
+
+
+def _notes(items: Iterable[tuple[str, float | None, str]]) -> list[str]:
+    keys: dict[str, list[str]] = {}
+    for key, value, note in items:
+        if note and value is not None and np.isfinite(value):
+            keys.setdefault(note, []).append(key)
+    return [f"{', '.join(names)}: {note}." for note, names in keys.items()]
 
 
 def _forecast_text(entry: Content) -> str:
     value = entry.get("forecast")
-    return "" if value is None or entry.get("note") else as_known(value, entry["error"])
+    return "" if value is None or not np.isfinite(value) else as_known(value, entry["error"])
+
+
+def _numbers(name: str, values: Sequence[float | None], cells: Iterable[str]) -> Column:
+    return Column(name, values, "", name, tuple(cells))
 
 
 def _units(units: Sequence[str]) -> Column:

@@ -21,7 +21,6 @@ from surveysim.scene.scene import scene_hash
 from surveysim.survey.coadds import row_names
 from surveysim.survey.scores import DataSetScore
 from surveysim.telescope.scans import samples_per_scan
-from surveysim.timestreams.component import loses_samples
 
 PSD_AT_HZ = (0.01, 0.1, 1.0)
 
@@ -55,7 +54,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "stopped": _stopped_entry(result),
         "scores": {},
     }
-    if loses_samples(setup.scene):
+    if setup.scene.losses:
         content["samples_lost"] = float(columns["flagged"].mean())
     if sensed:
         content["sensitivity"] = sensitivity_entries(setup, sensed)
@@ -149,7 +148,8 @@ def _stopped_entry(result: SurveyResult) -> dict[str, Any]:
         **limits,
     }
     if estimate:
-        entry |= known({"estimate": estimate.kind, "relative_error": estimate.relative_error})
+        told = {"metric": result.limits.metric, "relative_error": result.relative_error}
+        entry |= known({"estimate": estimate.kind} | told)
     return entry
 
 

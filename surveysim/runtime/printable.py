@@ -2,7 +2,7 @@
 
 import sys
 
-LONGEST = 400  # characters of a line of an error
+LONGEST = 600  # characters of a line of an error
 MOST_LINES = 10  # longest error message
 
 

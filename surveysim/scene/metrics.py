@@ -1,9 +1,11 @@
 """Sections [[score.metrics]]: further scores of the co-added maps, one class for each kind."""
 
 import re
+from functools import reduce
 from itertools import pairwise
+from operator import or_
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
@@ -34,12 +36,17 @@ class Metric(Section):
         default="", json_schema_extra={"otherwise": "the value of `kind`"}
     )
     """Name in results: small letters, digits and `_`."""
+    kind: str
+    """Kind of the metric."""
     quantity_names: ClassVar[tuple[str, ...]] = ()
 
     @property
     def label(self) -> str:
         """Name in results."""
-        return self.name or getattr(self, "kind")  # noqa: B009 - each subclass has it
+        return self.name or self.kind
+
+    def check_bins(self, ell_bin: int, ell_max: int) -> None:
+        """Raise ValueError for multipoles that the bins of the score do not have; most kinds have none of their own."""
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -63,8 +70,8 @@ class BandPowers(Metric):
     edges: Annotated[tuple[Annotated[int, *whole(0, 10_000_000)], ...], Field(min_length=2, max_length=_MOST_EDGES)]
     """Edges of the bins in multipole: increasing multiples of `score.ell_bin` up to `score.ell_max`."""
     spectrum: TableOrName
-    """Fiducial spectrum: "flat" has equal band powers, "poisson" equal C_ell, "clustered" C_ell as ell^-1.2; or an ECSV
-    table with the columns `ell` and `cl`, C_ell in CMB temperature squared."""
+    """Fiducial spectrum: "flat" has equal band powers, "poisson" equal C_ell, "clustered" C_ell as ell^-1.25; or an
+    ECSV table with the columns `ell` and `cl`, C_ell in CMB temperature squared."""
     band_power_ukcmb2: PositiveBandPower | None = Field(alias="band_power", default=None)
     """Band power ell (ell + 1) C_ell / 2 pi of a named spectrum at ell = 3000; it is required there."""
 
@@ -78,6 +85,15 @@ class BandPowers(Metric):
         """Names of its quantities: two for each bin, and one for all."""
         of_bins = (f"{kind}_{low}_{high}" for kind in ("sigma", "total") for low, high in self.bins)
         return (*of_bins, "amplitude")
+
+    def check_bins(self, ell_bin: int, ell_max: int) -> None:
+        """Raise ValueError for edges that are none of the score's bins."""
+        wrong = [edge for edge in self.edges if edge % ell_bin or edge > ell_max]
+        if wrong:
+            raise ValueError(
+                f"metrics: found the edge {wrong[0]} in {self.label!r}; multiples of ell_bin = {ell_bin} up to"
+                f" {ell_max // ell_bin * ell_bin} are expected"
+            )
 
     @model_validator(mode="after")
     def _one_spectrum(self) -> Self:
@@ -145,6 +161,15 @@ class _SourceDepth(Metric):
     )
     """Lowest multipole that the matched filter uses, in whole bins of the score; the highest is `score.ell_max`."""
 
+    def check_bins(self, ell_bin: int, ell_max: int) -> None:
+        """Raise ValueError for a lowest multipole that leaves no bin."""
+        most = ell_max // ell_bin * ell_bin - ell_bin
+        if self.ell_min is not None and self.ell_min > most:
+            raise ValueError(
+                f"metrics: found ell_min = {self.ell_min} in {self.label!r}; {most} or less is expected, which leaves a"
+                f" bin of {ell_bin} below {ell_max}"
+            )
+
 
 class PointSourceDepth(_SourceDepth):
     """Depth and mapping speed for point sources, by a matched filter of the map; without confusion by other sources."""
@@ -181,8 +206,18 @@ class ClusterDepth(_SourceDepth):
         return self
 
 
-METRIC_SECTIONS = (BandPowers, LargestScale, ArrayNet, TimeTo, PointSourceDepth, ClusterDepth)
+METRIC_SECTIONS: tuple[type[Metric], ...] = (
+    BandPowers,
+    LargestScale,
+    ArrayNet,
+    TimeTo,
+    PointSourceDepth,
+    ClusterDepth,
+)
 KIND_TAG = "kind="  # begins the part of an error's location that names the kind
+
+
+_KINDS = {item.model_fields["kind"].annotation.__args__[0]: item for item in METRIC_SECTIONS}
 
 
 def _kind(value: Any) -> str:
@@ -191,24 +226,21 @@ def _kind(value: Any) -> str:
 
 def _with_kind(value: Any) -> Any:
     """Raise ValueError for an entry without a known kind."""
-    known = [item.model_fields["kind"].annotation.__args__[0] for item in METRIC_SECTIONS]
     found = value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
-    if found not in known:
-        expected = f"one of {', '.join(map(repr, known))} is expected"
+    if found not in _KINDS:
+        expected = f"one of {', '.join(map(repr, _KINDS))} is expected"
         raise ValueError(f"kind: {'missing' if found is None else f'found {shown(found)}'}; {expected}")
     return value
 
 
-AnyMetric = Annotated[
-    Annotated[BandPowers, Tag("kind=band_powers")]
-    | Annotated[LargestScale, Tag("kind=largest_scale")]
-    | Annotated[ArrayNet, Tag("kind=array_net")]
-    | Annotated[TimeTo, Tag("kind=time_to")]
-    | Annotated[PointSourceDepth, Tag("kind=point_source")]
-    | Annotated[ClusterDepth, Tag("kind=cluster")],
-    Discriminator(_kind),
-    BeforeValidator(_with_kind),
-]
+if TYPE_CHECKING:
+    AnyMetric = Metric
+else:
+    AnyMetric = Annotated[
+        reduce(or_, (Annotated[item, Tag(KIND_TAG + kind)] for kind, item in _KINDS.items())),
+        Discriminator(_kind),
+        BeforeValidator(_with_kind),
+    ]
 
 
 def check_metrics(metrics: tuple[Metric, ...], ell_bin: int, ell_max: int) -> None:
@@ -222,28 +254,7 @@ def check_metrics(metrics: tuple[Metric, ...], ell_bin: int, ell_max: int) -> No
             raise ValueError(
                 f"metrics: found {shown(item.of)} as 'of' of {item.label!r}; one of {', '.join(known)} is expected"
             )
-        if isinstance(item, BandPowers):
-            _check_edges(item, ell_bin, ell_max)
-        if isinstance(item, _SourceDepth) and item.ell_min is not None:
-            _check_lowest(item.label, item.ell_min, ell_bin, ell_max)
-
-
-def _check_edges(item: BandPowers, ell_bin: int, ell_max: int) -> None:
-    wrong = [edge for edge in item.edges if edge % ell_bin or edge > ell_max]
-    if wrong:
-        raise ValueError(
-            f"metrics: found the edge {wrong[0]} in {item.label!r}; multiples of ell_bin = {ell_bin} up to"
-            f" {ell_max // ell_bin * ell_bin} are expected"
-        )
-
-
-def _check_lowest(label: str, ell_min: int, ell_bin: int, ell_max: int) -> None:
-    most = ell_max // ell_bin * ell_bin - ell_bin
-    if ell_min > most:
-        raise ValueError(
-            f"metrics: found ell_min = {ell_min} in {label!r}; {most} or less is expected, which leaves a bin of"
-            f" {ell_bin} below {ell_max}"
-        )
+        item.check_bins(ell_bin, ell_max)
 
 
 def metric_keys(metrics: tuple[Metric, ...]) -> tuple[str, ...]:

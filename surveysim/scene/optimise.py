@@ -25,7 +25,7 @@ def _frozen(value: object) -> object:
     return tuple(map(_frozen, value)) if isinstance(value, list | tuple) else value
 
 
-End = Annotated[float | str | None, BeforeValidator(_end), of_file(["number", "string"])]
+End = Annotated[int | float | str | None, BeforeValidator(_end), of_file(["number", "string"])]
 Choices = Annotated[
     tuple[Any, ...],
     BeforeValidator(_frozen),

@@ -103,38 +103,40 @@ def why_withheld(share: float, least: float) -> str:
     return f"other points can't be compared with it (it loses {percent(share)} of its scans)"
 
 
-def sweep_warnings(labels: Sequence[str], shares: Sequence[Shares]) -> list[str]:
+def sweep_warnings(labels: Sequence[str], shares: Sequence[Shares], things: str = "points") -> list[str]:
     """Return one line for each data set with too many discarded scans at some points, or with too different fractions.
 
     Parameters
     ----------
     labels, shares
         Label, and fraction of discarded scans by data set, of each point.
+    things
+        Word for the points.
     """
     found = []
     for name in listed_data_sets(shares):
         known = [(item[name], label) for label, item in zip(labels, shares, strict=True) if name in item]
-        if lines := [line for line in (_too_many(known), _too_different(known)) if line]:
+        if lines := [line for line in (_too_many(known, things), _too_different(known, things)) if line]:
             found.append(f"{name}: {'; '.join(lines)}. {REMEDY}.")
     return found
 
 
-def _too_many(known: list[tuple[float, str]]) -> str:
+def _too_many(known: list[tuple[float, str]], things: str) -> str:
     wrong = [share for share, _ in known if share > MOST_DISCARDED + _ROUNDING]
     if not wrong:
         return ""
-    points = f"{len(wrong)} of {len(known)} points"
+    points = f"{len(wrong)} of {len(known)} {things}"
     worst, label = max(known, key=_share)
     return f"more than {100 * MOST_DISCARDED:g} % of the scans are discarded at {points}, {percent(worst)} at {label}"
 
 
-def _too_different(known: list[tuple[float, str]]) -> str:
+def _too_different(known: list[tuple[float, str]], things: str) -> str:
     (least, few), (most, many) = min(known, key=_share), max(known, key=_share)
     if most <= least + MOST_APART + _ROUNDING:
         return ""
     return (
-        f"the share of discarded scans differs by more than {100 * MOST_APART:g} % between points, from "
-        f"{percent(least)} at {few} to {percent(most)} at {many}, so that ratios of such points mislead"
+        f"the share of discarded scans differs by more than {100 * MOST_APART:g} % between {things}, from "
+        f"{percent(least)} at {few} to {percent(most)} at {many}, so that ratios of such {things} mislead"
     )
 
 

@@ -88,6 +88,8 @@ def _noise_row(item: DataSetScore, response: Response) -> np.ndarray:
 
 
 def _weather_row(item: DataSetScore, response: Response) -> np.ndarray:
+    if not response.noise.any():  # a quantity of the transfer function alone
+        return np.zeros(len(item.weights))
     how = response.noise, response.exponent
     return _of_norm(response.budget.weather, item.shares(*how) - item.expected_shares(*how))
 

@@ -149,8 +149,3 @@ COMPONENTS = (
 def present_components(scene: Scene) -> tuple[StreamComponent, ...]:
     """Components that the scene has a section for, in the order of addition."""
     return tuple(item for item in COMPONENTS if item.is_present(scene))
-
-
-def loses_samples(scene: Scene) -> bool:
-    """Return whether a component of the scene flags samples as lost."""
-    return any(item.flag is not None for item in present_components(scene))

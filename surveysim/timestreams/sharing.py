@@ -39,8 +39,14 @@ def readout_groups(camera: Camera, group_size: int | None) -> tuple[np.ndarray, 
     return tuple(np.split(np.argsort(number, kind="stable"), np.cumsum(np.bincount(number))[:-1]))
 
 
-def check_groups(scene: Scene, camera: Camera) -> None:
-    """Raise SceneError for readout groups that neither a key nor the table of detectors states."""
+def uses_table_groups(scene: Scene) -> bool:
+    """Return whether a section of the scene needs the readout groups of the table of detectors."""
+    sections = [*_sections_by_group(scene).values(), *([scene.crosstalk] if scene.crosstalk else [])]
+    return any(section.group_size is None for section in sections)
+
+
+def _sections_by_group(scene: Scene) -> dict[str, Shared | GroupRedNoise]:
+    """Sections, by name, of what the detectors of a readout group share."""
     sections: dict[str, Shared | GroupRedNoise] = {
         f"lines[{number}]": line for number, line in enumerate(scene.lines) if line.shared == "group"
     }
@@ -48,7 +54,12 @@ def check_groups(scene: Scene, camera: Camera) -> None:
         sections["readout_noise.group"] = scene.readout_noise.group
     if scene.dropped_samples and scene.dropped_samples.shared == "group":
         sections["dropped_samples"] = scene.dropped_samples
-    for name, section in sections.items():
+    return sections
+
+
+def check_groups(scene: Scene, camera: Camera) -> None:
+    """Raise SceneError for readout groups that neither a key nor the table of detectors states."""
+    for name, section in _sections_by_group(scene).items():
         if section.group_size is None and camera.properties.readout_group is None:
             raise SceneError(
                 f"{name}.group_size: missing; it, or a column 'readout_group' of the table instrument.positions, is"

@@ -7,17 +7,39 @@ discarded: their mean goes with the time.
 """
 
 import json
+import math
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 SCENE = Path(__file__).parents[2] / "scenarios" / "large_camera.toml"
-# Rings (91, 1027 and 10267 detectors), sample rate [Hz] and scans of 10 s.
-POINTS = [(5, 200, 60), (18, 200, 60), (58, 200, 6), (58, 100, 6), (58, 50, 6), (58, 200, 3), (58, 200, 12)]
+# Rings (91, 1027 and 10267 detectors), wafers, sample rate [Hz] and scans of 10 s.
+POINTS = [
+    (5, 1, 200, 60),
+    (18, 1, 200, 60),
+    (58, 1, 200, 6),
+    (58, 1, 100, 6),
+    (58, 1, 50, 6),
+    (58, 1, 200, 3),
+    (58, 1, 200, 12),
+    (58, 3, 50, 3),
+    (58, 10, 50, 3),
+]
 OBSERVATIONS, OBSERVATION_S, SIMULATED_SHARE = 10_000, 3600.0, 0.2
 
 
-def measure(rings: int, rate_hz: float, scans: int) -> dict[str, float]:
+def several_wafers(rings: int, wafers: int) -> dict[str, Any]:
+    """Settings for wafers in a square, a third as wide as the camera of the scene, so that they see one field."""
+    side = math.ceil(wafers**0.5)
+    centres = [(place % side - (side - 1) / 2, place // side - (side - 1) / 2) for place in range(wafers)]
+    lattice = {"rings": rings, "pitch_f_lambda": 1.3}
+    offsets = [{"offset_x": f"{1.1 * x} deg", "offset_y": f"{1.05 * y} deg"} for x, y in centres]
+    made = [lattice | offset for offset in offsets]
+    return {"instrument.layout": None, "instrument.wafers": made, "instrument.f_lambda": "22.9 arcsec"}
+
+
+def measure(rings: int, wafers: int, rate_hz: float, scans: int) -> dict[str, float]:
     """One observation with signal simulations in this process, once one scan of it has been made."""
     from dataclasses import replace
     from time import process_time
@@ -31,7 +53,8 @@ def measure(rings: int, rate_hz: float, scans: int) -> dict[str, float]:
     from surveysim.telescope.scans import samples_per_scan
     from surveysim.timestreams.scan_blocks import Block
 
-    settings = {"instrument.layout.rings": rings, "scan.sample_rate": f"{rate_hz} Hz", "scan.scans": scans}
+    settings = {"scan.sample_rate": f"{rate_hz} Hz", "scan.scans": scans}
+    settings |= several_wafers(rings, wafers) if wafers > 1 else {"instrument.layout.rings": rings}
     # The map and its patch stay as large as those of the whole raster.
     settings |= {"scan.step": f"{300 / scans} arcmin", "observations": 1}
     with threadpool_limits(1):
@@ -69,7 +92,7 @@ def main() -> None:
         if len(rows) == 1:
             print("| " + " | ".join(rows[0]) + " |\n|" + "---:|" * len(rows[0]))
         print("| " + " | ".join(f"{value:.5g}" for value in rows[-1].values()) + " |", flush=True)
-    largest = max(rows, key=lambda row: row["10^6 samples"] * (row["detectors"] > 1e4))
+    largest = max(rows, key=lambda row: row["10^6 samples"] * (1e4 < row["detectors"] < 2e4))
     each = largest["ns"] + SIMULATED_SHARE * largest["simulations [ns]"]
     samples = largest["detectors"] * 200 * OBSERVATION_S
     hours = 1e-9 * each * samples / 3600

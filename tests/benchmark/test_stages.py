@@ -10,6 +10,7 @@ from mapmaker.geometry import boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
 from mapmaker.stream_psd import hann_psd, white_level
 from mapmaker.wind import measure_wind, scan_velocities
+from surveysim.reduction import cleaned_block, signal_maps
 from surveysim.reduction import noise_only_sets as sets
 from surveysim.reduction import observation as reduction
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline
@@ -118,9 +119,9 @@ def test_simulated_set(per_sample, lynx, name):
 def test_signal_simulation_of_one_sky(per_sample, lynx):
     """A sky through the streams of the whole and the masked array, with cleaning and without."""
     options = {"delays_s_rad": None, "watch": Stopwatch()}
-    part = reduction._reduce(lynx.setup, OBSERVATION, lynx.pointing, lynx.block, **options)
-    maps, skies = reduction._empty_signal_maps(lynx.setup.analysis, 1), lynx.setup.analysis.signal_skies_mk[:1]
-    per_sample("signal simulation, one sky", lambda: reduction._add_signal_maps(maps, part, skies))
+    part = cleaned_block.reduce_block(lynx.setup, OBSERVATION, lynx.pointing, lynx.block, **options)
+    maps, skies = signal_maps.empty_signal_maps(lynx.setup.analysis, 1), lynx.setup.analysis.signal_skies_mk[:1]
+    per_sample("signal simulation, one sky", lambda: signal_maps.add_signal_maps(maps, part, skies))
 
 
 def test_weights(per_sample, lynx):

@@ -18,6 +18,7 @@ from surveysim.paper.scenes import TABLES, wanted
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL
 from surveysim.studies.convergence import measure_accuracy
+from surveysim.studies.optimise.store import FILE as EVALUATIONS
 from surveysim.studies.stress import CASES, run_case
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 from tests.camera import BOLOMETER, CAMERA, PHOTON
@@ -30,6 +31,8 @@ from tests.unit.paper.test_reproduce import SCENE as PAPER_SCENE
 pytestmark = pytest.mark.docs
 PAGE = documented(ROOT / "docs" / "reference" / "files.md")
 # With a note: the target is out of reach.
+SURVEYS = ("A run", "A camera of several bands", "A sweep", "A budget", "A comparison", "A search")
+
 METRICS = """
 [[score.metrics]]
 kind = "band_powers"
@@ -76,6 +79,31 @@ observations = [4, 1]
 """
 
 
+# Few forecasts of a metric that is smooth.
+SEARCH = """
+[optimise]
+rivals = 1
+
+[[optimise.knobs]]
+key = "score.signal_sims.band_power"
+low = "50 uK2"
+high = "20000 uK2"
+scale = "log"
+
+[[optimise.knobs]]
+key = "cleaning.algorithm"
+choices = ["average", "planar"]
+
+[[optimise.derived]]
+key = "detector.psd"
+value = "mK**2 / Hz * (score.signal_sims.band_power / (700 * uK**2) + 700 * uK**2 / score.signal_sims.band_power)"
+
+[[optimise.limits]]
+quantity = "score.signal_sims.band_power"
+at_most = "10000 uK2"
+"""
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """Folders with what each command writes, by the headings of the page."""
@@ -84,6 +112,12 @@ def made(tmp_path_factory):
         "A run": [_rich_run(folder), _unscored_run(folder)],
         "A camera of several bands": [_bands(folder)],
         "A sweep": [_sweep(folder)],
+        "A budget": [*_budget(folder)],
+        "A comparison": [_comparison(folder)],
+        "A search": [
+            _search(folder, "search"),
+            _search(folder, "front", 'metrics = ["flat_band_power.sigma", "detectors"]'),
+        ],
         "A forecast": [_forecast(folder)],
         "Accuracy": [_accuracy(folder)],
         "The paper": [_paper(folder)],
@@ -116,9 +150,34 @@ def _bands(folder):
 
 
 def _sweep(folder):
-    surveysim.run_sweep(_scene(folder, "sweep", SMALL_SCENE + SWEEP), folder / "sweep")
+    surveysim.run_sweep(_scene(folder, "sweep", SMALL_SCENE + SWEEP), folder / "sweep", target_error=0.01)
     (folder / "sweep" / "points").rename(folder / "points")  # of the runs of points, which are as other runs
     return folder / "sweep"
+
+
+def _budget(folder):
+    """A simulated budget, and one by forecast with pairs of a scene that has no noise without its detectors'."""
+    path = _scene(folder, "stages", SMALL_SCENE)
+    surveysim.budget(surveysim.load_scene(path, {"photon": None, "excess": None}), folder / "budget", engine=SERIAL)
+    few = {"photon": None, "excess": None, "atmosphere": None, "cleaning.algorithm": "none"}
+    surveysim.budget(surveysim.load_scene(path, few), folder / "pairs", simulate=False, pairs=True)
+    return folder / "budget", folder / "pairs"
+
+
+def _comparison(folder):
+    """Of the camera with a site, and of another seed."""
+    path = _scene(folder, "seeds", RICH_SCENE.replace("observations = 34", "observations = 3"))
+    for seed in (11, 12):
+        surveysim.run(surveysim.load_scene(path, {"seed": seed}), folder / "seeds" / f"{seed}", figures=False)
+    surveysim.compare([folder / "seeds" / "11", folder / "seeds" / "12"], folder / "compared")
+    return folder / "compared"
+
+
+def _search(folder, name, metrics=""):
+    """A search with a limit that is not kept everywhere, and with the importance of its knobs."""
+    text = SMALL_SCENE.replace("dead = [5]\n", "") + SEARCH.replace("[optimise]\n", f"[optimise]\n{metrics}\n")
+    surveysim.optimise(_scene(folder, name, text), folder / name, simulate=not metrics, importance=2, engine=SERIAL)
+    return folder / name
 
 
 def _forecast(folder):
@@ -206,7 +265,7 @@ def contents(name: str):
 # ---------------------------------------------------------------- compared
 
 
-@pytest.mark.parametrize("command", ["A run", "A camera of several bands", "A sweep", "The paper"])
+@pytest.mark.parametrize("command", [*SURVEYS, "The paper"])
 def test_every_file(made, command):
     there = {name: "" for folder in made[command] for name in files(folder)}
     if command == "The paper":  # one figure stands for all
@@ -240,13 +299,13 @@ def _is_of(heading, name):
 
 
 def test_the_list_of_files_in_the_summary_is_whole(made):
-    for command in ("A run", "A camera of several bands", "A sweep"):
+    for command in SURVEYS:
         for folder in made[command]:
             listed = set(json.loads((folder / "summary.json").read_text())["files"])
-            assert listed == files(folder).keys() - {"summary.json", CHECKPOINT, RECORD, "scene.toml"}
+            assert listed == files(folder).keys() - {"summary.json", CHECKPOINT, EVALUATIONS, RECORD, "scene.toml"}
 
 
-@pytest.mark.parametrize("command", ["A run", "A camera of several bands", "A sweep", "The paper"])
+@pytest.mark.parametrize("command", [*SURVEYS, "The paper"])
 def test_the_record_is_whole(made, command):
     """Each file that a command writes is known as its own."""
     for folder in made[command]:

@@ -20,7 +20,7 @@ from surveysim.scene.place import shipped_place
 from surveysim.scene.renamed_keys import RENAMED
 from surveysim.scene.sites import site_names, with_site
 from surveysim.scene.units import to_floats
-from surveysim.studies.sweep.axes import REFERENCE
+from surveysim.studies.sweep.choices import CHOICES
 from tests.docs.pages import PAGES, README, ROOT, Block, blocks
 from tests.docs.tables import documented
 
@@ -31,7 +31,7 @@ SCENARIOS = sorted((ROOT / "scenarios").glob("*.toml"))
 def keys_of(text: str) -> set[str]:
     """Dotted keys of a scene and of its sweep."""
     content = tomllib.loads(text)
-    axes = {name: item for name, item in content.get("sweep", {}).items() if name != REFERENCE}
+    axes = {name: item for name, item in content.get("sweep", {}).items() if name not in CHOICES}
     varied = (item if isinstance(item, dict) else {name: item} for name, item in axes.items())
     return {key for key, _ in scene_keys(content)} | {key for keys in varied for key in keys}
 

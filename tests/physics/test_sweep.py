@@ -3,6 +3,8 @@
 A variance from n draws is known to sqrt(2 / n), relative; the tests allow three times that unless said otherwise.
 """
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -16,6 +18,7 @@ from surveysim.runtime.engine import SERIAL
 from surveysim.scene.metrics import SIGMA_KEY
 from surveysim.studies.sweep.comparison import compare_forecasts, compare_runs, forecast_points
 from surveysim.studies.sweep.point_store import PointResult
+from surveysim.studies.sweep.rounds import SweepLimits, run_rounds
 from surveysim.survey.error_modes import error_modes, sigma_response
 from surveysim.survey.scores import DataSetScore
 from tests.scenes import SMALL_SCENE, without_sections
@@ -45,33 +48,26 @@ MORE_DETECTOR_NOISE = '"detector.psd" = ["2.5 mK2 / Hz", "3.75 mK2 / Hz"]'
 # ---------------------------------------------------------------- surveys of toy modes
 
 
+def toy_item(flipped, weights, share=1.0):
+    """Score of sign-flipped co-adds (K, n_mode) of a share of a survey, of observations with these weights."""
+    power = np.abs(flipped) ** 2 * share
+    psds = PSD * np.stack([part.mean(axis=1) for part in np.split(power, np.cumsum(N_MODES // 2)[:-1], 1)], 1)
+    band, budget = toy_score(psds, weights)
+    noise = np.repeat(1 / weights[:, None], 4, axis=1)
+    known = TransferFunction(ELL, np.ones(4), np.zeros((2, 4)))
+    of_maps = psds, flat_spectrum_psd(ELL), known, weights, noise
+    return DataSetScore("actual", DataSetKind.ACTUAL, 100, band, budget, *of_maps)
+
+
 def toy_pair(weights, own, rng):
     """Scores of two surveys with the same signs, weather and transfer function; `own` is the power of own noise."""
     shape = (weights.size, N_MODES.sum() // 2)
     common, *apart = (rng.normal(size=(*shape, 2)) @ [1, 1j] / np.sqrt(2) for _ in range(3))
     signs = rng.choice([-1.0, 1.0], size=(FLIPS, weights.size))
-    transfer_function = TransferFunction(ELL, np.ones(4), np.zeros((2, 4)))
     items = []
     for noise in apart:
         modes = np.sqrt(weights)[:, None] * (np.sqrt(1 - own) * common + np.sqrt(own) * noise)
-        power = np.abs(signs @ modes / weights.sum()) ** 2
-        psds = PSD * np.stack([part.mean(axis=1) for part in np.split(power, np.cumsum(N_MODES // 2)[:-1], 1)], 1)
-        band, budget = toy_score(psds, weights)
-        noise = np.repeat(1 / weights[:, None], 4, axis=1)
-        items.append(
-            DataSetScore(
-                "actual",
-                DataSetKind.ACTUAL,
-                100,
-                band,
-                budget,
-                psds,
-                flat_spectrum_psd(ELL),
-                transfer_function,
-                weights,
-                noise,
-            )
-        )
+        items.append(toy_item(signs @ modes / weights.sum(), weights))
     return items
 
 
@@ -195,3 +191,70 @@ def _point(item):
     found = Estimate(item.band.sigma_ukcmb2, sigma_response(item))
     metrics = {"actual": {SIGMA_KEY: MetricResult(found, found, "uK2", True, None, "")}}
     return PointResult(100, len(item.weights), {"actual": item}, {}, [], [], {}, [], "same", "", 0.0, metrics, {})
+
+
+# ---------------------------------------------------------------- surveys of different lengths, and rounds
+
+
+def toy_points(own, factors, rng, n_obs=128):
+    """Return a function of a point and a number of observations: the score of its first ones.
+
+    Points share signs and weather, and all but the fraction `own` of their noise; `factors` multiply its power.
+    """
+    weights = np.exp(0.6 * rng.normal(size=n_obs))
+    shape = (n_obs, N_MODES.sum() // 2)
+    common, *apart = (rng.normal(size=(*shape, 2)) @ [1, 1j] / np.sqrt(2) for _ in range(len(factors) + 1))
+    signs = rng.choice([-1.0, 1.0], size=(FLIPS, n_obs))
+
+    def score_of(point, n):
+        noise = np.sqrt(1 - own) * common[:n] + np.sqrt(own) * apart[point][:n]
+        modes = np.sqrt(weights[:n, None] * factors[point]) * noise
+        return toy_item(signs[:, :n] @ modes / weights[:n].sum(), weights[:n], n / n_obs)
+
+    return score_of
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("own", [0.03, 1.0])
+@pytest.mark.parametrize("n", [32, 64])
+def test_error_of_a_ratio_of_surveys_of_different_lengths(own, n):
+    """Of n and 128 observations, of which the first n are common: these cancel, the rest does not."""
+    count, rng = 200, np.random.default_rng(8)
+    log_ratio, variance, apart = np.empty((3, count))
+    for i in range(count):
+        score_of = toy_points(own, (1.0, 1.0), rng)
+        one, other = items = score_of(0, n), score_of(1, 128)
+        rows = error_modes(items, ("same", "same"))
+        log_ratio[i] = np.log(one.band.sigma_ukcmb2 / other.band.sigma_ukcmb2)
+        variance[i] = np.sum((rows[0] - rows[1]) ** 2)
+        apart[i] = one.budget.total**2 + other.budget.total**2
+    assert np.var(log_ratio) == pytest.approx(variance.mean(), rel=3 * np.sqrt(2 / count))
+    assert variance.mean() < 0.8 * apart.mean()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factors, most", [((1.0, 1.0001), 0.2), ((1.0, 1.1, 1.2), 0.02)])
+def test_confidence_of_rounds_holds(monkeypatch, factors, most):
+    """200 sweeps of toy surveys in four rounds, with a confidence of 80 %.
+
+    Of two points that are nearly equal, the wrong one is called the best in a fifth of the sweeps at most, over all
+    rounds together; where points differ, nearly never. Tolerance: three standard errors of the stated chance.
+    """
+    monkeypatch.setattr("surveysim.studies.sweep.rounds.round_ends", lambda points: (16, 32, 64, 128))
+    monkeypatch.setattr("surveysim.studies.sweep.comparison.DRAWS", 4000)
+    count, rng, known, wrong = 200, np.random.default_rng(1), 0, 0
+    scene = SimpleNamespace(observations=128)
+    sweep = SimpleNamespace(points=[SimpleNamespace(number=place, scene=scene) for place in range(len(factors))])
+    for _ in range(count):
+        score_of = toy_points(1.0, factors, rng)
+        points, rounds = run_rounds(
+            sweep,
+            SweepLimits(1e-3, 0.8),
+            lambda stages, begun, of=score_of: [_point(of(item.point.number, item.observations)) for item in stages],
+            lambda points: compare_runs(points, np.random.default_rng(0)),
+        )
+        if rounds.reason == "confidence":
+            known += 1
+            wrong += compare_runs(points, np.random.default_rng(0)).best != (0,)
+    assert known > 20  # or the test shows nothing
+    assert wrong / count < most + 3 * np.sqrt(most * (1 - most) / count)

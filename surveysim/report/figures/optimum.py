@@ -10,6 +10,7 @@ from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.report.figures.style import UK2_CMB, plain, save
 from surveysim.studies.optimise.ranges import KnobRange
 from surveysim.studies.optimise.result import OptimiseResult
+from surveysim.studies.optimise.tables import value_shown
 from surveysim.studies.sweep.axes import value_text
 
 HIGHEST = 1.6  # of a panel, over the best metric
@@ -97,7 +98,7 @@ def _knob(result: OptimiseResult, number: int) -> Panel:
     x_range = (-0.5, knob.high + 0.5) if knob.choices else None
     label = plain(f"{knob.key}{unit}")
     return Panel(
-        plain(f"best: {value_text(best.settings[knob.key])}"),
+        plain(f"best: {value_shown(best.settings[knob.key])}"),
         label,
         _label(result, key),
         tuple(series),

@@ -6,21 +6,22 @@ from pathlib import Path
 from typing import Any
 
 from surveysim.report.html.captions import BUDGET
-from surveysim.report.html.components import UK2, Block, Page, Section, Terms, Text, grid, picture
+from surveysim.report.html.components import Block, Page, Section, Text, grid, picture
 from surveysim.report.html.provenance import provenance, sources
 from surveysim.report.html.scene import what_was_simulated
+from surveysim.results.metric_tables import heading, label
 from surveysim.runtime.numbers import count, duration, number, plural, quoted
 from surveysim.studies.budget.lines import (
-    MEASURE,
-    PLACES,
     flag_lines,
     interaction_line,
     least_title,
+    measure_line,
+    place_line,
     reason_lines,
     small_line,
     total_lines,
 )
-from surveysim.studies.budget.tables import TITLE, budget_table, pair_table, point_table, time_text
+from surveysim.studies.budget.tables import TITLE, budget_table, option_table, pair_table, point_table, time_text
 
 Content = Mapping[str, Any]  # content of summary.json or scene.json
 PICTURE = "figures/budget.png"
@@ -28,12 +29,10 @@ PICTURE = "figures/budget.png"
 
 def budget_page(directory: Path, summary: Content, scene: Content) -> Page:
     """Return the page of a budget from its directory, summary.json and scene.json."""
-    table = budget_table(summary)
-    narrow = tuple(item for item in table.columns if item.name != "options")
-    costs = grid(replace(table, title=TITLE, columns=narrow), MEASURE, PLACES, *reason_lines(summary))
-    options = tuple((item["title"], item["options"]) for item in summary["budget"]["stages"])
-    removal = Terms(options, "Options that remove each stage")
-    sections = [Section("costs", TITLE, (costs, Text(tuple(total_lines(summary))), removal))]
+    notes = (measure_line(summary), place_line(summary), *reason_lines(summary))
+    costs = grid(replace(budget_table(summary), title=TITLE), *notes)
+    sums = Text(tuple(total_lines(summary)))
+    sections = [Section("costs", TITLE, (costs, sums, grid(option_table(summary))))]
     if PICTURE in summary["files"] and (directory / PICTURE).is_file():
         drawn = picture(directory / PICTURE, BUDGET.title, BUDGET.alt, (BUDGET.shows, BUDGET.look_for))
         sections.append(Section("figure", "Figure", (drawn,)))
@@ -53,9 +52,10 @@ def _lead(summary: Content) -> Iterator[str]:
     stages = [item for item in summary["budget"]["stages"] if item["removed"]["time"]["value"] is not None]
     if stages:
         first = max(stages, key=lambda item: item["removed"]["time"]["value"])
+        less, name = time_text(first["removed"]["time"]), label(summary["budget"]["metric"]["key"])
         yield (
             f"Of {plural(len(summary['budget']['stages']), 'stage')}, {first['title']} costs the most: without it the"
-            f" same σ(A) takes {time_text(first['removed']['time'])} less of the survey time."
+            f" same {name} takes {less} less of the survey time."
         )
     yield small_line(summary)
     if line := interaction_line(summary):
@@ -66,10 +66,10 @@ def _lead(summary: Content) -> Iterator[str]:
 
 def _key_figures(summary: Content) -> tuple[tuple[str, str], ...]:
     whole, total, run = summary["budget"]["points"][0], summary["budget"]["total"], summary["run"]
-    sigma, error = whole["sigma_ukcmb2"], whole["error_ukcmb2"]
-    shown = quoted(sigma, error) if summary["kind"] == "simulated" else number(sigma)
+    metric = summary["budget"]["metric"]
+    value = quoted(whole["value"], whole["error"]) if summary["kind"] == "simulated" else number(whole["value"])
     return (
-        (f"σ(A) of the whole scene [{UK2}]", shown),
+        (heading(metric["key"], metric["unit"]), value),
         (f"time of {least_title(summary).lower()}", time_text(total["least"])),
         ("interactions", time_text(total["together"])),
         ("points", count(len(summary["budget"]["points"]))),

@@ -114,7 +114,7 @@ FORECAST_SWEEP = Caption(
 BUDGET = Caption(
     "Survey time by stage",
     "Bars of survey time from the least scene to the whole one, and the cost of each stage removed or added alone.",
-    "Across: survey time that gives the same σ(A), in percent of the whole scene's. Left: each bar adds the cost of a "
+    "Across: survey time that gives the same score, in percent of the whole scene's. Left: each bar adds the cost of a "
     "stage added alone to the least scene (grey at the top); the orange bar is the rest of the whole scene's time, the "
     "interactions of the stages. Right: the cost of each stage, removed alone from the whole scene (discs) and added "
     "alone to the least one (squares). Bars are paired errors, for simulated points.",
@@ -153,3 +153,28 @@ SIMULATED_DESIGNS = Caption(
     "is with paired errors. Triangles: forecast.",
     "Look for ratios that differ by more than their errors.",
 )
+# Of a comparison of runs, by name of the file.
+COMPARISON = {
+    "map_psd": Caption(
+        "Noise of the co-added maps",
+        "Noise power spectral density of the actual data's map of each run against multipole.",
+        "Across: multipole ℓ. Up: power spectral density of the noise of the actual data [µK²_CMB sr]. Shaded: the "
+        "standard error of each bin.",
+        "Look for the multipoles at which the runs differ: at high ℓ by their white noise, at low ℓ by what cleaning "
+        "leaves.",
+    ),
+    "transfer_function": Caption(
+        "Transfer functions",
+        "Power transmission of cleaning of each run against multipole.",
+        "Across: multipole ℓ. Up: fraction of the signal's power that scanning and cleaning pass, without beam and "
+        "pixel, with its error.",
+        "Look for less noise that is paid for with less signal: both fall together where cleaning removes more.",
+    ),
+    "timestream_psd": Caption(
+        "Time-streams before and after cleaning",
+        "Median power spectral density of the time-streams of each run against frequency, before and after cleaning.",
+        "Across: frequency [Hz]. Up: power spectral density [mK²/Hz], a mean over detectors and a median over "
+        "observations. Thin: before cleaning; thick: after it.",
+        "Look for the frequency at which the thick lines leave their white level.",
+    ),
+}

@@ -10,8 +10,15 @@ from surveysim.report.html.components import Block, Listing, Page, Section, Text
 from surveysim.report.html.discarded_scans import warned
 from surveysim.report.html.provenance import provenance, sources
 from surveysim.report.html.scene import what_was_simulated
-from surveysim.runtime.numbers import count, duration, number, plural
-from surveysim.studies.optimise.tables import design_table, front_table, optimum_table, simulated_table
+from surveysim.runtime.numbers import count, duration, plural
+from surveysim.studies.optimise.tables import (
+    design_table,
+    front_table,
+    metric_text,
+    optimum_table,
+    simulated_table,
+    value_shown,
+)
 from surveysim.studies.sweep.axes import value_text
 
 Content = Mapping[str, Any]  # content of summary.json or scene.json
@@ -35,9 +42,8 @@ def optimum_page(directory: Path, summary: Content, scene: Content) -> Page:
         Section("sources", "Where the values come from", sources(scene)),
         Section("provenance", "Provenance", (provenance(summary),)),
     ]
-    key = [
-        (f"{item['key']} [{item['unit']}]", number(found["best"]["metrics"][item["key"]])) for item in found["metrics"]
-    ]
+    units = {item["key"]: f" [{item['unit']}]" if item["unit"] else "" for item in found["metrics"]}
+    key = [(f"{name}{unit}", metric_text(_value(found, name))) for name, unit in units.items()]
     key += [("designs forecast", count(found["evaluations"])), ("run time", duration(summary["run"]["wall_s"]))]
     return Page(
         "surveysim optimise", f"{summary['title']}: best design", tuple(_lead(summary)), tuple(key), tuple(sections)
@@ -46,15 +52,21 @@ def optimum_page(directory: Path, summary: Content, scene: Content) -> Page:
 
 def _lead(summary: Content) -> Iterator[str]:
     found = summary["optimum"]
-    knobs = ", ".join(f"{item['key']} = {value_text(item['best'])}" for item in found["knobs"])
+    knobs = ", ".join(f"{item['key']} = {value_shown(item['best'])}" for item in found["knobs"])
     metrics = " and ".join(
-        f"{item['key']} = {number(found['best']['metrics'][item['key']])} {item['unit']}" for item in found["metrics"]
+        f"{item['key']} = {metric_text(_value(found, item['key']))} {item['unit']}".strip() for item in found["metrics"]
     )
     which = "The design closest to the best of both metrics" if found["front"] else "The best design by forecast"
     yield f"{which} has {knobs}: {metrics}."
     if "simulated" in summary and (best := _simulated_best(summary["simulated"])):
         yield best
     yield from warned(summary)
+
+
+def _value(found: Content, key: str) -> float:
+    """Metric of the best design, without the noise of the forecast where that is known."""
+    smoothed = found["best"].get("smoothed")
+    return found["best"]["metrics"][key] if smoothed is None else smoothed
 
 
 def _simulated_best(sweep: Content) -> str:

@@ -16,8 +16,11 @@ if TYPE_CHECKING:
 REPORT = "report.html"
 LONGEST_REASON = 150
 FIRST = (0, 5)  # first version with the present keys of summary.json
-KINDS = {"points", "scores", "accuracy", "bands", "budget", "optimum"}  # keys that identify the kind of results
-EXPECTED = "the directory of a run, a sweep, 'surveysim budget', 'optimise', 'accuracy' or 'paper' is expected"
+# Keys that identify the kind of results.
+KINDS = {"points", "scores", "accuracy", "bands", "budget", "optimum", "compared"}
+EXPECTED = (
+    "the directory of a run, a sweep, 'surveysim budget', 'optimise', 'compare', 'accuracy' or 'paper' is expected"
+)
 # Units and symbols as the results write them, once they are escaped for HTML.
 _WRITTEN = [
     (re.compile(pattern), written)
@@ -74,6 +77,10 @@ def write_report(directory: str | Path) -> Path:
 def _page_of(directory: Path) -> Page:
     """Make the page of a directory, by the kind of its files."""
     summary = _read_summary(directory / "summary.json") if (directory / "summary.json").exists() else {}
+    if "compared" in summary:
+        from surveysim.report.html.compare import comparison_page
+
+        return comparison_page(directory, summary)
     if "points" in summary:
         from surveysim.report.html.sweep import sweep_page
 

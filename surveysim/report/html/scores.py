@@ -9,7 +9,7 @@ from surveysim.reduction.data_set import DataSetKind
 from surveysim.report.html.components import UK2, Block, Listing, grid
 from surveysim.report.html.scene import cleaning_words
 from surveysim.results.method import CONTROLLED, PLAIN, method
-from surveysim.results.metric_tables import metric_table
+from surveysim.results.metric_tables import metric_notes, metric_table
 from surveysim.results.tables import alternative_table, cleaning_table, gain_table, score_table
 
 Content = Mapping[str, Any]  # content of summary.json or scene.json
@@ -37,7 +37,7 @@ def score_blocks(summary: Content, scene: Content) -> Iterator[Block]:
         note = "Ratios of σ(A). Both data sets share weather and skies, so a ratio has a smaller error than its parts."
         yield grid(gain_table(summary["gains"], dict(reference["gains"]) if reference else {}), note)
     if metrics := metric_table(summary["metrics"]):
-        yield grid(metrics, METRICS)
+        yield grid(metrics, METRICS, *metric_notes(summary["metrics"]))
     if len([name for name, entry in summary["cleaning"].items() if "psd_over_white" in entry]) > 1:
         yield grid(cleaning_table(summary["cleaning"]))
     if summary.get("alternatives"):

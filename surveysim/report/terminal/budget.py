@@ -7,10 +7,10 @@ from surveysim.report.terminal.survey import print_warnings, where_line
 from surveysim.report.terminal.tables import show_table
 from surveysim.runtime.numbers import duration, plain
 from surveysim.studies.budget.lines import (
-    MEASURE,
-    PLACES,
     flag_lines,
     interaction_line,
+    measure_line,
+    place_line,
     reason_lines,
     small_line,
     total_lines,
@@ -18,7 +18,7 @@ from surveysim.studies.budget.lines import (
 from surveysim.studies.budget.points import Budget
 from surveysim.studies.budget.result import BudgetResult
 from surveysim.studies.budget.summary import budget_summary
-from surveysim.studies.budget.tables import budget_table, pair_table, point_table
+from surveysim.studies.budget.tables import budget_table, option_table, pair_table, point_table
 from surveysim.studies.sweep.plan import SweepPlan
 
 
@@ -40,7 +40,8 @@ def print_budget(result: BudgetResult, scene: Path, directory: Path, verbose: bo
     for line in (*total_lines(summary), interaction_line(summary), small_line(summary), *reason_lines(summary)):
         if line:
             console.say(plain(line))
-    console.say(f"{MEASURE} {PLACES}")
+    console.say(plain(f"{measure_line(summary)} {place_line(summary)}"))
+    show_table(console, option_table(summary))
     if summary["budget"]["pairs"]:
         show_table(console, pair_table(summary))
     if verbose:

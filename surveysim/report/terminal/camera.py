@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.numbers import plural
 from surveysim.timestreams.response import present_steps
+from surveysim.timestreams.sharing import uses_table_groups
 
 
 def camera_lines(setup: Setup) -> Iterator[str]:
@@ -21,7 +22,8 @@ def camera_lines(setup: Setup) -> Iterator[str]:
         chosen = setup.scene.instrument.table_band
         yield f"detectors of bands: {_named(counts.bands)}" + (f"; {chosen} is simulated" if chosen else "")
     if counts.readout_groups:
-        yield f"detectors of readout groups: {_named(counts.readout_groups)}"
+        used = "" if uses_table_groups(setup.scene) else ", which change no result"
+        yield f"detectors of readout groups{used}: {_named(counts.readout_groups)}"
     for step in present_steps(setup):
         if step.section != "instrument":
             yield f"{step.title.lower()}: {step.sentence}"

@@ -7,7 +7,7 @@ from surveysim.report.terminal.layout import Terminal
 from surveysim.report.terminal.survey import effect_warnings, print_warnings
 from surveysim.report.terminal.tables import show_table
 from surveysim.results.control_variate import in_all_weather
-from surveysim.results.metric_tables import metric_forecast_table
+from surveysim.results.metric_tables import metric_forecast_notes, metric_forecast_table
 from surveysim.results.metrics import forecast_metrics
 from surveysim.results.tables import effect_table
 
@@ -33,8 +33,11 @@ def print_forecast(setup: Setup, forecast: Forecast, verbose: bool = False) -> N
         published=dict(reference.values_ukcmb2) if reference else {},
     )
     show_table(console, table, title=f"{scene.title}: forecast of the uncertainty of a flat CMB band power")
-    if metrics := metric_forecast_table(forecast_metrics(setup, forecast)):
-        show_table(console, metrics, title=f"{scene.title}: forecast of further scores, over all weather")
+    metrics = forecast_metrics(setup, forecast)
+    if further := metric_forecast_table(metrics):
+        show_table(console, further, title=f"{scene.title}: forecast of further scores, over all weather")
+        for line in metric_forecast_notes(metrics):
+            console.say(line)
     effects = {name: [vars(effect) for effect in item.effects] for name, item in forecast.scores.items()}
     if verbose:
         drawn = f"the weather drawn is that of {scene.observations} observations"

@@ -1,7 +1,7 @@
 """Costs of stages: survey time, which adds up where noises do, and ratios of the metric.
 
 The noise power N of a map goes as one over the survey time T, and independent noises add in N. A metric that goes as
-N^p, p = 1 for sigma(A) of band powers and 1/2 for the depth of a source, is made as good as before by a time in
+N^p, p = 1 for sigma(A) of band powers and 1/2 for the depth of a source, is as good as before after a time in
 proportion to ``value^(1/p)``. Costs are differences of that time between two points, as shares of the time of the whole
 scene. Ratios of the metric do not add up.
 """
@@ -14,6 +14,7 @@ import numpy as np
 from surveysim.studies.budget.points import WHOLE, Budget, BudgetRow, Cost
 from surveysim.studies.budget.stages import CLEANING
 
+FLAT = 1e-6  # exponent below which a metric does not depend on the noise
 SMALL = 0.01  # share of the survey time below which a forecast cost is small
 
 
@@ -40,7 +41,7 @@ class Measured:
     Attributes
     ----------
     values
-        Lower is better.
+        The metric at the points.
     modes : (n_point, n_mode)
         Responses of ln value to unit deviates that points share; zeros for forecasts.
     exponent
@@ -60,7 +61,12 @@ class Measured:
         return self._estimate(self.values[over] / self.values[under], self.values[over] / self.values[under] * error)
 
     def time(self, numbers: Sequence[int], factors: Sequence[int]) -> Estimate:
-        """Sum of the survey times of some points with factors, as a share of the time of the whole scene."""
+        """Sum of the survey times of some points with factors, as a share of the time of the whole scene.
+
+        None for a metric that does not depend on the noise.
+        """
+        if abs(self.exponent) < FLAT:
+            return NONE
         share = (self.values[list(numbers)] / self.values[WHOLE]) ** (1 / self.exponent)
         terms = np.array(factors) * share
         modes = (self.modes[list(numbers)] - self.modes[WHOLE]) / self.exponent

@@ -3,24 +3,39 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from surveysim.runtime.numbers import joined
-from surveysim.studies.budget.costs import SMALL
+from surveysim.results.metric_tables import label
+from surveysim.runtime.numbers import joined, number
+from surveysim.studies.budget.costs import FLAT, SMALL
 from surveysim.studies.budget.tables import NOT_COMPARABLE, time_text
 
 Content = Mapping[str, Any]  # content of summary.json
 MOST_NAMED = 3  # interactions in a sentence
 SURE = 3  # standard errors beyond which an interaction is named: pairs are many
 
-MEASURE = (
-    "Times are survey times that give the same sigma(A), as shares of the whole scene's. sigma(A) goes as the noise"
-    " power of the map, hence as one over the survey time. The powers of independent noises add up, and so do times;"
-    " ratios do not."
-)
-PLACES = (
-    "Removed alone: sigma(A) of the whole scene over that without the stage. Added alone: sigma(A) of the least scene"
-    " with the stage over that without it. Stages that need another one are removed with it, and added to it."
-    " Interaction: the time that the stage costs in the whole scene less the time that it costs in the least one."
-)
+
+def measure_line(summary: Content) -> str:
+    """Define the survey time that costs are measured in."""
+    metric = summary["budget"]["metric"]
+    name, power = label(metric["key"]), metric["exponent"]
+    if power is None or abs(power) < FLAT:
+        return f"{name} does not depend on the noise, so that costs have no survey time."
+    how = "" if power == 1 else f" to the power {number(power)}"
+    return (
+        f"Times are survey times that give the same {name}, as shares of the whole scene's. {name} goes as the noise"
+        f" power of the map{how}, which goes as one over the survey time. The powers of independent noises add up, and"
+        " so do times; ratios do not."
+    )
+
+
+def place_line(summary: Content) -> str:
+    """Define the two places of a stage, and its interaction."""
+    name = label(summary["budget"]["metric"]["key"])
+    return (
+        f"Removed alone: {name} of the whole scene over that without the stage. Added alone: {name} of the least scene"
+        " with the stage over that without it. Stages that need another one are removed with it, and a stage is added"
+        " with those that it needs. Interaction: the time that the stage costs in the whole scene less the time that it"
+        " costs in the least one."
+    )
 
 
 def least_title(summary: Content) -> str:
@@ -34,7 +49,7 @@ def total_lines(summary: Content) -> Iterator[str]:
     """Yield the time of the least scene, the sums of all costs, and their difference from the whole."""
     total = summary["budget"]["total"]
     if total["least"]["value"] is None:
-        yield "The least scene has no score, so there are no sums."
+        yield "The least scene has no survey time, so there are no sums."
         return
     yield (
         f"Least scene, {least_title(summary)}: {time_text(total['least'])} of the survey time. With the costs of all"

@@ -10,9 +10,11 @@ from typing import Any
 
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.bands import TABLE
+from surveysim.scene.error_lines import error_lines
+from surveysim.scene.metrics import SIGMA_KEY, metric_keys
 from surveysim.scene.scene import Origin, Scene, load_scene, read_scene, scene_hash, scene_of
 from surveysim.scene.shipped import find_scene
-from surveysim.scene.units import file_value
+from surveysim.scene.units import file_value, shown
 from surveysim.studies.budget.stages import CLEANING, StageList, stages_of
 from surveysim.studies.sweep.axes import Point, Sweep, sweep_point
 
@@ -96,7 +98,11 @@ class Budget:
 
 
 def load_budget(
-    scene: Scene | str | Path, overrides: Mapping[str, Any] | None = None, *, pairs: bool = False
+    scene: Scene | str | Path,
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    metric: str = SIGMA_KEY,
+    pairs: bool = False,
 ) -> Budget:
     """Find the stages of a scene, and check and prepare the scenes without them.
 
@@ -106,6 +112,8 @@ def load_budget(
         A scene that `load_scene` returned, the path of its file, or its name.
     overrides
         Values by dotted key, as for `load_scene`; for a path or a name.
+    metric
+        Key of the quantity that costs are of.
     pairs
         Add the points without two stages.
 
@@ -113,7 +121,7 @@ def load_budget(
     ------
     SceneError
         For a scene that can't be run, one without [score] or with one stage alone, a sweep, a camera of several bands,
-        and a scene that is not as its file has it.
+        a scene that is not as its file has it, and a metric that it does not have.
     """
     origin = _origin(scene, overrides or {})
     _, content = read_scene(origin.path)
@@ -124,7 +132,10 @@ def load_budget(
     def scene_at(settings: dict[str, Any]) -> Scene:
         return scene_of(origin.path, origin.text, content, origin.overrides | settings)
 
-    stages = stages_of(scene_at({}))
+    whole = scene_at({})
+    if whole.score and metric not in (known := metric_keys(whole.score.metrics)):
+        raise SceneError(f"{origin.path}: metric: found {shown(metric)}; one of {', '.join(known)} is expected")
+    stages = stages_of(whole)
     if len(stages.stages) < 2:
         raise SceneError(f"{origin.path}: found {', '.join(stages.stages)} alone; two stages or more are expected")
     costs = {name: _sets(stages, name) for name in stages.stages}
@@ -135,7 +146,7 @@ def load_budget(
     rows = tuple(_row(stages, name, sets, numbers, reasons) for name, sets in costs.items())
     found = {names: tuple(numbers[item] for item in sets if item in numbers) for names, sets in quartets.items()}
     return Budget(
-        Sweep(origin.path, (), tuple(points.values()), origin, WHOLE),
+        Sweep(origin.path, (), tuple(points.values()), origin, WHOLE, metric),
         stages,
         tuple(points),
         numbers.get(frozenset(stages.stages) - {stages.floor}),
@@ -188,9 +199,10 @@ def _points(
             scene = _actual_alone(scene_at(settings))
             points[item] = sweep_point(number, (number,), _label(stages, item), settings, scene)
         except SceneError as error:
+            lines = [line.removeprefix(f"{path}: ") for line in str(error).splitlines()]
             if not item:
-                raise
-            reasons[item] = str(error).splitlines()[0].removeprefix(f"{path}: ")
+                raise SceneError(error_lines(path, lines)) from None
+            reasons[item] = lines[0]
     return points, reasons
 
 

@@ -29,11 +29,14 @@ class BudgetResult:
         Results of the points.
     comparison
         Their comparison with the whole scene.
+    exponent
+        Power of the noise power that the metric goes with, in the whole scene.
     """
 
     budget: Budget
     points: tuple[PointResult, ...]
     comparison: Comparison
+    exponent: float
     simulated: bool
     wall_s: float
     workers: int
@@ -42,7 +45,7 @@ class BudgetResult:
     @property
     def measured(self) -> Measured:
         """Values of the metric at the points."""
-        return Measured(self.comparison.value, self.comparison.modes, 1.0, self.simulated)
+        return Measured(self.comparison.value, self.comparison.modes, self.exponent, self.simulated)
 
     @property
     def is_scored(self) -> bool:

@@ -9,8 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from surveysim.scene.noise_and_sky import Photon
+from surveysim.scene.response import ResponseSections
 from surveysim.scene.scene import Scene
 from surveysim.timestreams.component import COMPONENTS, present_components
+from surveysim.timestreams.response import RESPONSE_STEPS
 
 CLEANING, ATMOSPHERE = "cleaning", "atmosphere"
 NOISES = tuple(item.name for item in COMPONENTS if item.add is not None and item.name != "sky")
@@ -70,8 +72,9 @@ class StageList:
 
 
 def stages_of(scene: Scene) -> StageList:
-    """List the stages of a scene, from cleaning to the sections of its streams and the settings that can be ideal."""
-    found = {stage.name: stage for stage in _in_order(*_cleaning(scene), *_components(scene), *_settings(scene))}
+    """List the stages of a scene: cleaning, sections of its streams and its response, settings that can be ideal."""
+    listed = _in_order(*_cleaning(scene), *_components(scene), *_response(scene), *_settings(scene))
+    found = {stage.name: stage for stage in listed}
     floor = next((name for name in (*FLOORS, *reversed(NOISES)) if name in found), "")
     common, stages = (CLEANING,) if CLEANING in found else (), {}
     for name, stage in found.items():
@@ -109,6 +112,14 @@ def _no_photon_noise(photon: Photon) -> dict[str, Any]:
     if photon.stop_fraction is not None:
         off["photon.stop_fraction"] = None
     return off if photon.coherence == "none" else off | {"photon.coherence": "none"}
+
+
+def _response(scene: Scene) -> Iterator[Stage]:
+    """Yield the sections of the response, each once: its first step names it."""
+    titles = {step.section: step.title for step in reversed(RESPONSE_STEPS)}
+    for section in ResponseSections.model_fields:
+        if getattr(scene, section) is not None:
+            yield Stage(section, titles[section], {section: None})
 
 
 def _settings(scene: Scene) -> Iterator[Stage]:

@@ -9,6 +9,7 @@ from surveysim.scene.scene import scene_hash
 from surveysim.studies.budget.costs import Estimate, StageCost
 from surveysim.studies.budget.points import WHOLE, Cost, as_options
 from surveysim.studies.budget.result import BudgetResult
+from surveysim.studies.sweep.point_store import PointResult
 
 
 def budget_summary(result: BudgetResult) -> dict[str, Any]:
@@ -25,6 +26,7 @@ def budget_summary(result: BudgetResult) -> dict[str, Any]:
         "detectors": result.points[WHOLE].n_det,
         "kind": "simulated" if result.simulated else "forecast",
         "budget": {
+            "metric": vars(result.comparison.quantity) | known({"exponent": result.exponent}),
             "floor": budget.stages.floor,
             "stages": [_stage_entry(result, item) for item in result.costs],
             "total": {name: _entry(getattr(total, name)) for name in ("least", "removed", "added", "together")}
@@ -86,13 +88,18 @@ def _point_entry(result: BudgetResult, number: int) -> dict[str, Any]:
         "label": point.label,
         "without": [name for name in result.budget.stages.stages if name in result.budget.removed[number]],
         "options": as_options(given | point.settings),
-        "settings": point.settings,
     }
     error = float(comparison.error[number]) if result.simulated else None
-    entry |= known({"sigma_ukcmb2": float(comparison.value[number]), "error_ukcmb2": error})
-    entry |= {"forecast_ukcmb2": item.forecast_ukcmb2.get(ACTUAL), "forecast_flags": item.flags}
+    entry |= known({"value": float(comparison.value[number]), "error": error, "forecast": _forecast(result, item)})
+    entry["forecast_flags"] = item.flags
     if item.discarded:
         entry["discarded"] = item.discarded.get(ACTUAL)
-    if item.unscored:
-        entry["unscored"] = item.unscored
     return entry
+
+
+def _forecast(result: BudgetResult, item: PointResult) -> float | None:
+    """Forecast of the metric at a point; None without one."""
+    key = result.budget.sweep.metric
+    if result.simulated:
+        return item.metrics[ACTUAL][key].forecast if item.metrics else None
+    return item.metric_forecasts[ACTUAL][key].value if item.metric_forecasts else None

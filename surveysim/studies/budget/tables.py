@@ -3,18 +3,19 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from surveysim.results.tables import rounded_column
-from surveysim.runtime.numbers import MINUS, number, quoted, quoted_share
-from surveysim.runtime.table import SIGMA, Column, Table, column, file_column, quoted_columns, share_text
+from surveysim.results.metric_tables import heading, label
+from surveysim.runtime.numbers import MINUS, as_known, number, quoted, quoted_share
+from surveysim.runtime.table import Column, Table, column, file_column, quoted_columns, share_text
 
 Content = Mapping[str, Any]  # content of summary.json, or an entry of it
 TITLE = "Cost of each stage"
 PARTS = {"removed": "removed alone", "added": "added alone"}
+EXACT = 1e-5  # relative error below which only rounding is left
 NOT_COMPARABLE = " *"  # after a cost of points that lose different fractions of their scans
 
 
 def budget_table(summary: Content) -> Table:
-    """Return a row for each stage: ratios of sigma(A), survey time, interaction, and the options that remove it.
+    """Return a row for each stage: ratios of the metric, survey time, interaction, and the options that remove it.
 
     Files have the columns `removed_ratio`, `removed_time`, `added_ratio`, `added_time` and `interaction`, each with its
     `_error`; the numbers of the points of each, as budget_points.ecsv has them; and the `reason` for a missing cost.
@@ -25,29 +26,33 @@ def budget_table(summary: Content) -> Table:
         file_column("stage", [item["name"] for item in stages]),
         column("title", [item["title"] for item in stages], "stage"),
     ]
-    for part, heading in PARTS.items():
-        columns += _cost_columns(part, heading, [item.get(part) for item in stages])
+    for part, place in PARTS.items():
+        columns += _cost_columns(part, place, [item.get(part) for item in stages])
     columns += _estimates("interaction", "interaction", [item["interaction"] for item in stages], [""] * len(stages))
     columns += [
-        column("options", [item["options"] for item in stages], "options that remove it"),
+        file_column("options", [item["options"] for item in stages]),
         file_column("reason", [item.get("reason", "") for item in stages]),
     ]
-    title = f"{summary['title']}: {TITLE[0].lower()}{TITLE[1:]}"
+    title = f"{summary['title']}: {TITLE[0].lower()}{TITLE[1:]}, by {label(summary['budget']['metric']['key'])}"
     return Table("budget", title, tuple(columns), meta=_meta(summary))
 
 
 def point_table(summary: Content) -> Table:
-    """Return a row for each point: its stages, sigma(A), discarded scans, and the options of the command ``run``."""
-    points = summary["budget"]["points"]
-    of = {key: [item.get(key) for item in points] for key in ("sigma_ukcmb2", "error_ukcmb2", "forecast_ukcmb2")}
+    """Return a row for each point: its stages, the metric, discarded scans, and the options of the command ``run``."""
+    points, metric = summary["budget"]["points"], summary["budget"]["metric"]
+    value, error, expected = ([item[key] for item in points] for key in ("value", "error", "forecast"))
+    name, unit = heading(metric["key"], metric["unit"]), metric["unit"]
     columns = [
         column("point", [item["point"] for item in points], "point"),
         column("label", [item["label"] for item in points], "stages"),
-        *_sigma(summary, of["sigma_ukcmb2"], of["error_ukcmb2"]),
     ]
     if summary["kind"] == "simulated":
-        columns.append(rounded_column("forecast_ukcmb2", of["forecast_ukcmb2"], of["error_ukcmb2"], "forecast"))
+        columns += quoted_columns(("value", "error"), value, error, name, unit=unit, absent="not scored")
+        cells = tuple("" if seen is None else as_known(seen, of) for seen, of in zip(expected, error, strict=True))
+        columns.append(Column("forecast", expected, unit, "forecast", cells))
         columns.append(column("discarded", [item.get("discarded") for item in points], "discarded", share_text))
+    else:
+        columns.append(column("value", value, f"forecast {name}", number, unit=unit))
     columns.append(column("options", [item["options"] for item in points], "options"))
     return Table("point", "Points", tuple(columns), meta=_meta(summary))
 
@@ -64,12 +69,24 @@ def pair_table(summary: Content) -> Table:
     return Table("pair", "Interactions of pairs, in survey time", tuple(columns), meta=_meta(summary))
 
 
+def option_table(summary: Content) -> Table:
+    """Return a row for each stage with the options of a command that remove it, and the stages that need it."""
+    stages = summary["budget"]["stages"]
+    columns = (
+        column("title", [item["title"] for item in stages], "stage"),
+        column("options", [item["options"] for item in stages], "options that remove it, and what needs it"),
+    )
+    return Table("option", "Scenes without a stage", columns)
+
+
 def time_text(entry: Content) -> str:
     """Format a share of the survey time, with its error if it has one; empty without a value."""
     value, error = entry["value"], entry["error"]
     if value is None:
         return ""
-    return quoted_share(value, error) if error is not None else f"{_fixed(100 * value, 1)} %"
+    if error is None or error < EXACT:
+        return f"{_fixed(100 * value, 1)} %"
+    return quoted_share(value, error)
 
 
 def ratio_text(entry: Content) -> str:
@@ -77,7 +94,9 @@ def ratio_text(entry: Content) -> str:
     value, error = entry["value"], entry["error"]
     if value is None:
         return ""
-    return quoted(value, error) if error is not None else _fixed(value, 3) if value < 10 else number(value)
+    if error is None or error < EXACT * value:
+        return _fixed(value, 3) if value < 10 else number(value)
+    return quoted(value, error)
 
 
 def _fixed(value: float, places: int) -> str:
@@ -87,16 +106,7 @@ def _fixed(value: float, places: int) -> str:
 
 def _meta(summary: Content) -> dict[str, Any]:
     keys = ("surveysim", "seed", "scene_sha256", "kind")
-    return {"temperature": "CMB"} | {key: summary[key] for key in keys}
-
-
-def _sigma(summary: Content, sigma: Sequence[float | None], error: Sequence[float | None]) -> Iterator[Column]:
-    if summary["kind"] == "simulated":
-        yield from quoted_columns(
-            ("sigma_ukcmb2", "error_ukcmb2"), sigma, error, SIGMA, unit="uK2", absent="not scored"
-        )
-    else:
-        yield column("sigma_ukcmb2", sigma, f"forecast {SIGMA}", number, unit="uK2")
+    return {"temperature": "CMB", "metric": summary["budget"]["metric"]["key"]} | {key: summary[key] for key in keys}
 
 
 def _cost_columns(part: str, heading: str, entries: Sequence[Content | None]) -> Iterator[Column]:

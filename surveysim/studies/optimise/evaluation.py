@@ -66,18 +66,21 @@ class EvaluationJob:
 
     def __call__(self, settings: dict[str, Any]) -> Evaluation:
         """Forecast the design of some values of the knobs; a refused design has the reason."""
+        import astropy.units as u
+
         problem, found = self.problem, dict(settings)
         try:
             found = problem.with_derived(settings)
             setup = prepare(_without_others(problem.scene_at(found)))
             margins = _margins(problem, found, quantities(setup))
-            if min(margins, default=0.0) < -math.log1p(BEYOND):
+            if settings and min(margins, default=0.0) < -math.log1p(BEYOND):
                 return Evaluation(found, margins=margins, reason="beyond a limit")
             expected = forecast(setup)
             told = metric_quantities(setup, expected) | costs(setup)
             _check_values(problem, told)
             metrics = {key: item.value for key, item in told.items()}
-            margins = _margins(problem, found, quantities(setup) | metrics)
+            computed = {key: u.Quantity(item.value, item.unit) for key, item in told.items()}
+            margins = _margins(problem, found, computed | quantities(setup))
         except InputError as error:
             return Evaluation(found, reason=_first_line(error, problem))
         of = expected.scores[ACTUAL]

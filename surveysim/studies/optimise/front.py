@@ -51,7 +51,7 @@ def _distance(objectives: Pair, ideal: np.ndarray, span: np.ndarray, weight: np.
 
 def front(evaluations: Sequence[Evaluation], objectives: Pair) -> list[int]:
     """Return the numbers of the allowed designs that no other is better than in both metrics, by the first metric."""
-    allowed = [number for number, item in enumerate(evaluations) if item.allowed]
+    allowed = [number for number, item in enumerate(evaluations) if item.allowed and item.settings]
     order = sorted(allowed, key=lambda number: objectives(evaluations[number]))
     kept: list[int] = []
     for number in order:

@@ -4,13 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surveysim.studies.optimise.evaluation import Evaluation
 from surveysim.studies.optimise.search import Objective
 from surveysim.studies.optimise.store import EvaluationStore
 
 SEED = 0
 RESAMPLES = 200
-ONE_SIGMA = 0.6827
 
 
 @dataclass(frozen=True)
@@ -22,7 +20,7 @@ class Importance:
     first, total
         First-order index: the part of the variance that the knob makes alone; total index: with its interactions.
     first_error, total_error
-        Half the width of the interval of 68 %.
+        Standard deviations over bootstrap samples.
     samples, refused
         Designs that were evaluated, and those without a forecast, which count as the mean of the others.
     """
@@ -43,23 +41,27 @@ def importance(store: EvaluationStore, objective: Objective, n: int) -> Importan
     SpentError
         When the problem's number of evaluations is spent.
     """
-    from scipy.stats import sobol_indices, uniform
+    from scipy.stats import qmc
 
-    found: list[Evaluation] = []
+    rng, knobs = np.random.default_rng(SEED), len(store.problem.knobs)
+    both = qmc.Sobol(2 * knobs, rng=rng).random(n)
+    first, second = both[:, :knobs], both[:, knobs:]
+    mixed = np.repeat(first[None], knobs, axis=0)
+    for number in range(knobs):
+        mixed[number, :, number] = second[:, number]
+    places = np.concatenate([first, second, *mixed])
+    found = store.all_at(tuple(row) for row in places.tolist())
+    values = np.array([objective(item) if item.metrics else np.nan for item in found])
+    values = np.where(np.isnan(values), np.nanmean(values), values).reshape(knobs + 2, n)
+    draws = np.array([_indices(values[:, rng.integers(0, n, n)]) for _ in range(RESAMPLES)])
+    (alone, total), (alone_error, total_error) = _indices(values), draws.std(axis=0)
+    return Importance(alone, alone_error, total, total_error, len(found), sum(not item.metrics for item in found))
 
-    def values(places: np.ndarray) -> np.ndarray:
-        items = store.all_at([tuple(column) for column in places.T.tolist()])
-        found.extend(items)
-        made = np.array([objective(item) if item.metrics else np.nan for item in items])
-        return np.where(np.isnan(made), np.nanmean(made), made)[None]
 
-    knobs = len(store.problem.knobs)
-    result = sobol_indices(func=values, n=n, dists=[uniform()] * knobs, rng=np.random.default_rng(SEED))
-    spread = result.bootstrap(confidence_level=ONE_SIGMA, n_resamples=RESAMPLES)
-    half = [
-        (item.confidence_interval.high - item.confidence_interval.low) / 2
-        for item in (spread.first_order, spread.total_order)
-    ]
-    refused = sum(not item.metrics for item in found)
-    first, total = np.ravel(result.first_order), np.ravel(result.total_order)
-    return Importance(first, np.ravel(half[0]), total, np.ravel(half[1]), len(found), refused)
+def _indices(values: np.ndarray) -> np.ndarray:
+    """First-order and total indices (2, n_knob) of objectives (n_knob + 2, n) of two samples and their mixtures."""
+    from scipy.stats import sobol_indices
+
+    given = {"f_A": values[:1], "f_B": values[1:2], "f_AB": values[2:, None]}
+    result = sobol_indices(func=given, n=values.shape[1])
+    return np.array([np.ravel(result.first_order), np.ravel(result.total_order)])

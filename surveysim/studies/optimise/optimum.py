@@ -5,6 +5,8 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from surveysim.runtime.errors import SceneError
 from surveysim.studies.optimise.evaluation import Evaluation
 from surveysim.studies.optimise.front import front, knee, search_front
@@ -13,6 +15,7 @@ from surveysim.studies.optimise.problem import Problem
 from surveysim.studies.optimise.ranges import Flatness, KnobRange, flatness, places_of_ends
 from surveysim.studies.optimise.search import Objective, Optimum, Search, descend_from, local_optima
 from surveysim.studies.optimise.store import EvaluationStore, SpentError
+from surveysim.studies.optimise.surface import Surface
 from surveysim.studies.sweep.axes import value_text
 
 AS_IT_IS = "as it is"
@@ -41,6 +44,8 @@ class Found:
         Of each knob about the best design; none with two metrics, or where the evaluations were spent.
     scatter
         Standard deviation of ln of the metric about a smooth surface near the optimum, by the noise of the forecast.
+    smoothed
+        Metric of designs on that surface, by number: the forecast without its noise.
     front
         Numbers of the designs of the Pareto front; none with one metric.
     designs
@@ -53,6 +58,7 @@ class Found:
     best: int
     ranges: tuple[KnobRange, ...]
     scatter: float
+    smoothed: dict[int, float]
     front: tuple[int, ...]
     importance: Importance | None
     designs: tuple[Design, ...]
@@ -152,16 +158,31 @@ def _found(
     number = numbers[id(best)]
     rivals = _front_rivals(problem, on_front, number) if on_front else _rivals(store, best, optima, flat)
     designs = [Design(AS_IT_IS, 0), Design(BEST, number), *rivals]
+    designs = _once(designs, store.evaluations)
     return Found(
         evaluations=store.evaluations,
         best=number,
         ranges=flat.ranges if flat else (),
         scatter=flat.surface.scatter if flat and flat.surface else math.nan,
+        smoothed=_smoothed(store, flat.surface, designs) if flat and flat.surface else {},
         front=tuple(on_front),
         importance=told,
-        designs=tuple(_once(designs, store.evaluations)),
+        designs=tuple(designs),
         spent=spent,
     )
+
+
+def _smoothed(store: EvaluationStore, surface: Surface, designs: list[Design]) -> dict[int, float]:
+    """Metric of designs on a surface, by number; of the scene as it is where that has the derived keys of a design."""
+    problem, found = store.problem, {}
+    key = problem.options.metrics[0]
+    for item in designs:
+        own = store.evaluations[item.number]
+        places = problem.places_of(own.settings) if own.settings else problem.present_places()
+        if places is not None and surface.holds(places) and store.at(places).metrics.get(key) == own.metrics.get(key):
+            value = float(surface.at(np.array([[places[number] for number in surface.free]]))[0])
+            found[item.number] = math.exp(value if own.lower[key] else -value)
+    return found
 
 
 def _once(designs: list[Design], evaluations: tuple[Evaluation, ...]) -> list[Design]:

@@ -12,7 +12,8 @@ from surveysim.studies.optimise.problem import Places, Problem
 from surveysim.studies.optimise.store import EvaluationStore
 
 MOST_SAMPLES = 64  # of each combination of choices
-MOST_DESCENTS = 3  # from the samples of each combination of choices
+MOST_DESCENTS = 3  # from the samples of a combination of choices
+FAR = 0.1  # ln of the metric over that of the best sample, from which one descent is enough
 FIRST_RADIUS = 0.1  # of a descent, as a fraction of the knobs' ranges
 LAST_RADIUS = 1e-2
 MOST_TURNS = 4  # between continuous knobs and integers
@@ -72,12 +73,14 @@ def local_optima(store: EvaluationStore, objective: Objective, starts: Sequence[
         When the problem's number of evaluations is spent.
     """
     search, problem = Search(store, objective), store.problem
+    sampled = [(fixed, list(_samples(problem, fixed))) for fixed in _combinations(problem)]
+    store.all_at([item for _, places in sampled for item in places])
+    values = [np.array([search.allowed_value(item) for item in places]) for _, places in sampled]
+    far = min(float(item.min()) for item in values) + FAR
     found: list[Optimum] = []
-    for fixed in _combinations(problem):
-        places = list(_samples(problem, fixed))
-        store.all_at(places)
-        values = np.array([search.allowed_value(item) for item in places])
-        chosen = [places[number] for number in _lowest(problem, places, values)]
+    for (fixed, places), of in zip(sampled, values, strict=True):
+        most = MOST_DESCENTS if of.min() < far else 1
+        chosen = [places[number] for number in _lowest(problem, places, of)[:most]]
         chosen += [item for item in starts if all(item[number] == place for number, place in fixed.items())]
         for start in chosen:
             if not any(_close(problem, start, item.places) for item in found):
@@ -132,7 +135,7 @@ def _lowest(problem: Problem, places: Sequence[Places], values: np.ndarray) -> l
     neighbours = np.argsort(apart, axis=1, kind="stable")[:, 1 : near + 1]
     low = np.isfinite(values) & (values <= values[neighbours].min(axis=1, initial=np.inf))
     order = np.argsort(values, kind="stable")
-    return [int(number) for number in order if low[number]][:MOST_DESCENTS]
+    return [int(number) for number in order if low[number]]
 
 
 def _descend(search: Search, start: Places) -> list[Optimum]:

@@ -8,9 +8,9 @@ from surveysim.reduction.setup import prepare
 from surveysim.runtime.provenance import made_by, now
 from surveysim.runtime.strict_json import known
 from surveysim.scene.scene import scene_hash
-from surveysim.studies.optimise.evaluation import Evaluation
 from surveysim.studies.optimise.expressions import key_value
 from surveysim.studies.optimise.knobs import Knob
+from surveysim.studies.optimise.ranges import TOLERANCE, KnobRange
 from surveysim.studies.optimise.result import OptimiseResult
 from surveysim.studies.sweep.result import pairs
 from surveysim.studies.sweep.summary import sweep_summary
@@ -35,9 +35,9 @@ def optimum_summary(result: OptimiseResult) -> dict[str, Any]:
             "spent": found.spent,
             "limits": [item.model_dump(exclude_none=True) for item in options.limits],
             "knobs": [_knob_entry(result, number) for number in range(len(problem.knobs))],
-            "best": _design_entry(found.evaluations[found.best]),
-            "designs": [{"name": item.name} | _design_entry(found.evaluations[item.number]) for item in found.designs],
-            "front": [_design_entry(found.evaluations[number]) for number in found.front],
+            "best": _design_entry(result, found.best),
+            "designs": [{"name": item.name} | _design_entry(result, item.number) for item in found.designs],
+            "front": [_design_entry(result, number) for number in found.front],
         },
         "warnings": result.warnings,
         "run": {"date": now(), "engine": result.engine, "workers": result.workers, "wall_s": result.wall_s},
@@ -49,8 +49,10 @@ def optimum_summary(result: OptimiseResult) -> dict[str, Any]:
     return content
 
 
-def _design_entry(item: Evaluation) -> dict[str, Any]:
-    entry = {"settings": item.settings, "metrics": item.metrics, "flags": list(item.flags)}
+def _design_entry(result: OptimiseResult, number: int) -> dict[str, Any]:
+    item, smoothed = result.found.evaluations[number], result.found.smoothed.get(number)
+    entry: dict[str, Any] = {"settings": item.settings, "metrics": item.metrics, "flags": list(item.flags)}
+    entry |= {} if smoothed is None else {"smoothed": smoothed}
     return entry | known({"discarded": item.discarded})
 
 
@@ -75,7 +77,12 @@ def _knob_entry(result: OptimiseResult, number: int) -> dict[str, Any]:
     return entry
 
 
-def _within(knob: Knob, item: Any) -> dict[str, Any]:
+def _within(knob: Knob, item: KnobRange) -> dict[str, Any]:
+    """Ends of the range within 1 %, or the choices."""
+    if knob.choices:
+        top = item.values[item.places == item.low][0] + math.log1p(TOLERANCE)
+        inside = item.places[item.values <= top]
+        return {"choices": [knob.value(place) for place in inside]}
     return {
         "low": knob.value(item.low),
         "high": knob.value(item.high),

@@ -1,19 +1,19 @@
 """Tables of an optimisation: its knobs, its designs, the front, and all evaluations."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from surveysim.runtime.numbers import number, with_error
+from surveysim.runtime.numbers import count, number, with_error
 from surveysim.runtime.table import Column, Table, column, file_column, share_text
 from surveysim.studies.optimise.result import OptimiseResult
 from surveysim.studies.sweep.axes import numbers_of, value_text
 from surveysim.studies.sweep.tables import sweep_table
 
 Content = Mapping[str, Any]  # content of summary.json
-ENDS = {"1 %": "", "range": " (end of the range)", "limit": " (limit)"}
+ENDS = {"1 %": "", "range": " (end of the search)", "limit": " (limit)"}
 
 
 def optimum_table(summary: Content) -> Table:
@@ -22,16 +22,12 @@ def optimum_table(summary: Content) -> Table:
     columns = [
         column("key", [item["key"] for item in knobs], "knob"),
         column("searched", [_searched(item) for item in knobs], "searched"),
-        column("as_it_is", [_text(item.get("as_it_is", "")) for item in knobs], "as it is"),
-        column("best", [_text(item["best"]) for item in knobs], "best"),
+        column("as_it_is", [value_shown(item.get("as_it_is", "")) for item in knobs], "as it is"),
+        column("best", [value_shown(item["best"]) for item in knobs], "best"),
     ]
     if "within_1_percent" in knobs[0]:
         ranges = [item["within_1_percent"] for item in knobs]
-        for end in ("low", "high"):
-            texts = [_text(item[end]) for item in ranges]
-            cells = tuple(text + ENDS[item[f"{end}_end"]] for text, item in zip(texts, ranges, strict=True))
-            columns.append(Column(f"{end}_1_percent", texts, "", f"within 1 %, {end}", cells))
-            columns.append(file_column(f"{end}_end", [item[f"{end}_end"] for item in ranges]))
+        columns.append(column("within_1_percent", list(map(_within, ranges)), "within 1 % of the best"))
     if "importance" in knobs[0]:
         columns += _importance([item["importance"] for item in knobs])
     meta = {"surveysim": summary["surveysim"], "seed": summary["seed"], "scene_sha256": summary["scene_sha256"]}
@@ -49,17 +45,30 @@ def _importance(found: Sequence[Content]) -> Iterator[Column]:
 def _searched(knob: Content) -> str:
     if "choices" in knob:
         return ", ".join(map(value_text, knob["choices"]))
-    return f"{_text(knob['low'])} to {_text(knob['high'])}"
+    return f"{value_shown(knob['low'])} to {value_shown(knob['high'])}"
 
 
-def _text(value: Any) -> str:
-    """Value of the file, numbers rounded to three digits."""
+def _within(item: Content) -> str:
+    if "choices" in item:
+        return ", ".join(map(value_text, item["choices"]))
+    low, high = (f"{value_shown(item[end])}{ENDS[item[f'{end}_end']]}" for end in ("low", "high"))
+    return high if item["low"] == item["high"] else f"{low} to {high}"
+
+
+def metric_text(value: float) -> str:
+    """Format a metric to three digits; whole numbers, such as of detectors, as they are."""
+    return count(value) if value % 1 == 0 else number(value)
+
+
+def value_shown(value: Any) -> str:
+    """Format a value of the file, numbers rounded to three digits."""
     text = value_text(value)
     first, space, unit = text.partition(" ")
     try:
-        return f"{float(first):.3g}{space}{unit}" if len(first) > 4 else text
+        found = float(first)
     except ValueError:
         return text
+    return f"{found:.3g}{space}{unit}" if abs(found) < 1000 else f"{found:.0f}{space}{unit}"
 
 
 def design_table(summary: Content) -> Table:
@@ -82,18 +91,22 @@ def _designs(name: str, title: str, names: Sequence[Any], designs: Sequence[Cont
     for metric in found["metrics"]:
         values = [item["metrics"].get(metric["key"]) for item in designs]
         heading = f"{metric['key']} [{metric['unit']}]" if metric["unit"] else metric["key"]
-        columns.append(column(metric["key"], values, heading, number, unit=metric["unit"]))
+        columns.append(column(metric["key"], values, heading, metric_text, unit=metric["unit"]))
+    if any("smoothed" in item for item in designs):
+        values = [item.get("smoothed") for item in designs]
+        columns.append(column("smoothed", values, "smoothed", number, unit=found["metrics"][0]["unit"]))
     if any("discarded" in item for item in designs):
         columns.append(column("discarded", [item.get("discarded") for item in designs], "discarded", share_text))
-    columns += _settings([item["settings"] for item in designs], list(best))
+    columns += _settings([item["settings"] for item in designs], list(best), {item["key"] for item in found["knobs"]})
     rows = tuple(row for row, item in enumerate(designs) if item["settings"] == best)
     return Table(name, title, tuple(columns), rows, {"scene_sha256": summary["scene_sha256"]})
 
 
-def _settings(settings: Sequence[Content], keys: Sequence[str]) -> Iterator[Column]:
-    """Columns of the values of keys, as texts; empty for the scene as it is."""
+def _settings(settings: Sequence[Content], keys: Sequence[str], knobs: Collection[str]) -> Iterator[Column]:
+    """Columns of the values of keys, as texts, for people those of knobs alone; empty for the scene as it is."""
     for key in keys:
-        yield column(key, [value_text(item[key]) if key in item else "" for item in settings], key, _text)
+        values = [value_text(item[key]) if key in item else "" for item in settings]
+        yield column(key, values, key, value_shown) if key in knobs else file_column(key, values)
 
 
 def evaluation_table(result: OptimiseResult) -> Table:

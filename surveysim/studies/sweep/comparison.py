@@ -215,25 +215,34 @@ def compare_runs(
     points: tuple[PointResult, ...], rng: np.random.Generator, reference: int = 0, key: str = SIGMA_KEY
 ) -> Comparison:
     """Compare runs by a quantity of the actual data, taking common errors into account."""
-    found = {number: point.metrics[ACTUAL][key] for number, point in enumerate(points) if point.metrics}
-    scored = {number: item for number, item in found.items() if 0 < item.value < np.inf}
+    value, relative, modes = run_estimates(points, ACTUAL, key)
+    shares = actual_shares(points)
+    quantity = compared_quantity(key, [point.metrics[ACTUAL][key] for point in points if point.metrics])
+    return compare(value, modes, rng, reference=reference, discarded=shares, relative=relative, quantity=quantity)
+
+
+def run_estimates(points: Sequence[PointResult], data_set: str, key: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return a quantity of a data set in runs of one seed (n_point,), NaN without one.
+
+    Its relative errors (n_point,) and `error_modes` (n_point, n_mode) follow.
+    """
+    found = {number: point.metrics.get(data_set, {}).get(key) for number, point in enumerate(points)}
+    scored = {number: item for number, item in found.items() if item and 0 < item.value < np.inf}
     value, relative = np.full((2, len(points)), np.nan)
     modes = np.zeros((len(points), 1))
     if scored:
         numbers = list(scored)
-        items = [points[number].scores[ACTUAL] for number in numbers]
+        items = [points[number].scores[data_set] for number in numbers]
         responses = [item.quoted.response for item in scored.values()]
         value[numbers] = [item.value for item in scored.values()]
         relative[numbers] = [response.budget.total for response in responses]
         rows = error_modes(items, [points[number].skies for number in numbers], _of_one_weather(items, responses))
         modes = np.zeros((len(points), rows.shape[1]))
         modes[numbers] = rows
-    shares = actual_shares(points)
-    quantity = _compared(key, found.values())
-    return compare(value, modes, rng, reference=reference, discarded=shares, relative=relative, quantity=quantity)
+    return value, relative, modes
 
 
-def _compared(key: str, items: Iterable[MetricResult | Quantity]) -> Compared:
+def compared_quantity(key: str, items: Iterable[MetricResult | Quantity]) -> Compared:
     """Quantity of these values; without any, its unit is unknown."""
     first = next(iter(items), None)
     return Compared(key, first.unit, first.lower_is_better) if first else Compared(key, "")
@@ -255,6 +264,8 @@ def _of_one_weather(items: list[DataSetScore], responses: list[Response]) -> lis
 
 
 def _scatter(item: DataSetScore, response: Response) -> float:
+    if not response.noise.any():
+        return 0.0
     shares = item.shares(response.noise, response.exponent)
     return float(np.std(shares, ddof=1) * len(shares) ** 0.5) * student_factor(len(shares))
 
@@ -268,7 +279,7 @@ def compare_forecasts(points: tuple[PointResult, ...], reference: int = 0, key: 
     """Compare forecasts by a quantity of the actual data; they have no Monte Carlo errors."""
     found = [point.metric_forecasts.get(ACTUAL, {}).get(key) for point in points]
     value = np.array([item.value if item and 0 < item.value < np.inf else np.nan for item in found])
-    rng, quantity = np.random.default_rng(0), _compared(key, filter(None, found))
+    rng, quantity = np.random.default_rng(0), compared_quantity(key, filter(None, found))
     return compare(value, np.zeros((len(points), 1)), rng, reference=reference, quantity=quantity)
 
 

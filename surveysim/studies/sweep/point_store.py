@@ -1,6 +1,8 @@
 """Results of the points of a sweep, stored in small files from which an interrupted sweep resumes."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -128,6 +130,19 @@ def save_point(path: Path, result: PointResult, identity: str) -> None:
         np.savez(file, meta=json.dumps(meta), **arrays)
 
 
+def load_run(path: Path) -> tuple[PointResult, str, str]:
+    """Read the scores of a finished run: with the hash of its scene, and the version that wrote them.
+
+    Raises
+    ------
+    CheckpointError
+        For a file that is damaged, or of a version with other content.
+    """
+    with _opened(path) as file:
+        meta = _Meta.model_validate(read_meta(str(file["meta"])))
+        return _result(file, meta), meta.scene, meta.version
+
+
 def load_point(path: Path, point: Point) -> PointResult:
     """Read a finished point.
 
@@ -136,16 +151,24 @@ def load_point(path: Path, point: Point) -> PointResult:
     CheckpointError
         For a file that is damaged, of another scene or version, or with content that does not fit the point.
     """
+    with _opened(path) as file:
+        meta = read_meta(str(file["meta"]))
+        check_origin(path, meta, scene_hash(point.scene))
+        result = _result(file, _Meta.model_validate(meta))
+        _check_point(result, point)
+        return result
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Open a file of arrays; errors of its content become a CheckpointError."""
     try:
         if not path.is_file():  # a pipe never ends
             raise ValueError("no file")
         with np.load(path, allow_pickle=False) as file:
             if any(item.compress_type != ZIP_STORED for item in file.zip.infolist()):
                 raise ValueError("compressed")  # by others: a few bytes can hold gigabytes
-            meta = read_meta(str(file["meta"]))
-            check_origin(path, meta, scene_hash(point.scene))
-            result = _result(file, _Meta.model_validate(meta))
-        _check_point(result, point)
+            yield file
     except CheckpointError:
         raise
     except ValidationError as error:  # its own text has a line for each fault, and quotes what it found
@@ -154,7 +177,7 @@ def load_point(path: Path, point: Point) -> PointResult:
     except Exception as error:  # zip, npy and JSON readers raise a wide range for damaged bytes
         reason = str(error)
     else:
-        return result
+        return
     raise CheckpointError(f"{path}: damaged ({one_line(reason, REASON)}); delete it and go on with --resume")
 
 

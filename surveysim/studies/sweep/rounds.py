@@ -1,9 +1,9 @@
 """Rounds of a sweep with a target error: observations go where the ranking is open, until the best point is known.
 
 All points run to the end of a first round. Rounds end at fixed numbers of observations, each about twice the one
-before. After each, the points that may still be the best go on. Decisions depend on results alone, so they are the same
-on any machine. What two points share is in the errors of their ratio (`surveysim.survey.scores.error_modes`): a point
-that stopped earlier shares its observations with the others, and only those.
+before. After each, the points that may still be the best go on, among them any that stopped before. Decisions depend on
+results alone, so they are the same on any machine. Points that stopped share their observations with the others; errors
+of ratios allow for these and only these (`surveysim.survey.error_modes.error_modes`).
 """
 
 from collections.abc import Callable, Sequence
@@ -81,7 +81,7 @@ def run_rounds(sweep: Sweep, limits: SweepLimits, run: Run, compare: Compare) ->
         stages = [item for item in stages if _done(found, item.point) < item.observations]
         found |= zip((item.point.number for item in stages), run(stages, number > 0), strict=True)
         points = tuple(found[point.number] for point in sweep.points)
-        reason, going = decision(compare(points), limits, max(1, len(ends) - 1))
+        reason, going = decision(compare(points), limits, looks=len(ends), flips=_fewest_flips(points))
         if not reason and all(found[point].observations == sweep.points[point].scene.observations for point in going):
             reason = "all"
         if reason:
@@ -89,23 +89,37 @@ def run_rounds(sweep: Sweep, limits: SweepLimits, run: Run, compare: Compare) ->
     return points, Rounds(limits, ends[: number + 1], reason)
 
 
-def decision(comparison: Comparison, limits: SweepLimits, looks: int) -> tuple[str, tuple[int, ...]]:
+def decision(comparison: Comparison, limits: SweepLimits, *, looks: int, flips: int) -> tuple[str, tuple[int, ...]]:
     """Return the reason to stop, empty to go on, and the numbers of the points that go on.
 
     A best point that is known at one of several looks may be the wrong one at each. The chance of an error is therefore
-    shared by the `looks` (Bonferroni): each asks for a probability of ``1 - (1 - confidence) / looks``. A point goes on
-    unless its own probability is below an equal share of that chance among the points. If no point competes, all go on.
+    shared by the looks (Bonferroni): each asks for a confidence of ``1 - (1 - confidence) / looks``. Errors come from
+    the scatter of few sign-flipped co-adds, so the distance that this takes is that of Student's t. A point goes on
+    unless its own probability is below an equal share of the chance among the points. If no point competes, all go on.
+
+    Parameters
+    ----------
+    looks
+        Number of rounds, at most.
+    flips
+        Number of sign-flipped co-adds of each point.
     """
-    chance, probability = (1 - limits.confidence) / looks, comparison.best_probability
-    competing = np.flatnonzero(comparison.competing)
+    from scipy.special import ndtr, stdtrit
+
+    probability, competing = comparison.best_probability, np.flatnonzero(comparison.competing)
     if len(competing) == 0:
         return "", tuple(range(len(probability)))
+    chance = 1 - ndtr(stdtrit(max(1, flips - 1), 1 - (1 - limits.confidence) / looks))
     best = competing[np.argmax(probability[competing])]
     going = competing[probability[competing] >= chance / len(competing)]
     if probability[best] >= 1 - chance:
         return "confidence", tuple(going.tolist())
     errors = np.linalg.norm(comparison.modes[going] - comparison.modes[best], axis=1)
     return "target" if (errors <= limits.target_error).all() else "", tuple(going.tolist())
+
+
+def _fewest_flips(points: tuple[PointResult, ...]) -> int:
+    return min((len(item.noise_psds) for point in points for item in point.scores.values()), default=1)
 
 
 def _stage(point: Point, end: int) -> Stage:

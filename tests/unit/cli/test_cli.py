@@ -440,7 +440,7 @@ def test_new(call, scene, monkeypatch):
     )
     for arguments, words in (
         (("mine", "--like", "yours"), "exists"),
-        (("other", "--like", "nowhere"), "mkidcam, ours, pixel_spacing_fixed_count"),
+        (("other", "--like", "nowhere"), "optimal_scan_speed, ours, pixel_spacing_fixed_count"),
         (("../other", "--like", "mine"), "letters, digits"),
         (("..", "--like", "mine"), "none of the last two first"),  # no scene by this name could be run
         (("x" * 101, "--like", "mine"), "letters, digits"),

@@ -133,7 +133,7 @@ def test_notes_tell_of_confusion_and_of_the_beam_that_the_score_leaves_out(tmp_p
 
 
 def test_effect_of_clusters_over_bands():
-    """Null at 217.5 GHz for 2.7255 K (Carlstrom et al. 2002, section 2), -2 y T in temperature at low frequencies."""
+    """Null at x = 3.83, 217.5 GHz for 2.7255 K; -2 y T at low frequencies."""
     assert top_hat(1e9, 0.0).sz_k_cmb == pytest.approx(-2 * 2.7255, rel=1e-4)
     assert top_hat(217.5e9, 0.0).sz_k_cmb == pytest.approx(0, abs=0.01)
     assert top_hat(214e9, 0.0).sz_k_cmb < 0 < top_hat(221e9, 0.0).sz_k_cmb

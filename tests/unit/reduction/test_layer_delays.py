@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from surveysim.reduction import cleaned_block
 from surveysim.reduction import observation as reduction
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, apply_pipeline
 from surveysim.reduction.layer_delays import delays_of_all_blocks, layer_motion, measured_delays
@@ -83,7 +84,7 @@ def test_blocks_are_cleaned_as_the_same_streams_side_by_side(setup_of, blocks):
     streams, (_, pointing) = draw_observation(setup, 0), observation_path(setup.observing, 0)
     delays = delays_of_all_blocks(setup, 0, pointing, Stopwatch())
     parts = [
-        reduction._reduce(setup, 0, pointing, block, delays_s_rad=delays, watch=Stopwatch())
+        cleaned_block.reduce_block(setup, 0, pointing, block, delays_s_rad=delays, watch=Stopwatch())
         for block in setup.observing.blocks
     ]
     rate, pipeline = setup.observing.scans.sample_rate_hz, setup.analysis.pipelines[0]
@@ -106,7 +107,7 @@ def test_blocks_are_cleaned_as_the_same_streams_side_by_side(setup_of, blocks):
 
 
 def test_other_cleaning_needs_no_pass_before(setup_of, monkeypatch):
-    drawn, draw = [], reduction.draw_block
+    drawn, draw = [], cleaned_block.draw_block
     monkeypatch.setattr("surveysim.reduction.layer_delays.draw_block", lambda *args: drawn.append(args) or draw(*args))
     reduction.observe(setup_of(2, **{"cleaning.algorithm": "average"}), 0, with_signal_sims=False)
     reduction.observe(setup_of(1), 0, with_signal_sims=False)

@@ -11,7 +11,7 @@ from surveysim.forecasting.fitted_modes import NO_FITTED_MODES
 from surveysim.forecasting.mode_response import projected_array
 from surveysim.forecasting.noise_model import noise_models
 from surveysim.forecasting.observing_conditions import observing_conditions, removed_modes, survey_draws
-from surveysim.reduction import observation as reduction
+from surveysim.reduction import cleaned_block, signal_maps
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, apply_pipeline
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare
@@ -181,10 +181,11 @@ def test_workers_change_no_bit(setup_of, source, two_threads):
     np.testing.assert_array_equal(one.coadds.signal_maps, two.coadds.signal_maps)
 
 
-@pytest.mark.parametrize("source, again", [("scan", 3), ("observation", 4)])
+# Scans that the second and the third cleaning get: two skies in one pass, or a fit to all scans with each sky.
+@pytest.mark.parametrize("source, again", [("scan", [6]), ("observation", [4, 4])])
 def test_signal_simulations_are_fitted_with_the_same_scans(setup_of, monkeypatch, source, again):
     """A scan that is lost without a sky is cleaned again only where it has a part in the others' responsivities."""
-    clean, cleaned = reduction.apply_pipeline, []
+    clean, cleaned = cleaned_block.apply_pipeline, []
 
     def lossy(*arguments, **options):
         done = clean(*arguments, **options)
@@ -195,25 +196,34 @@ def test_signal_simulations_are_fitted_with_the_same_scans(setup_of, monkeypatch
         done.data_mk[:, :60] = 0
         return replace(done, kept=np.arange(4) > 0)
 
-    monkeypatch.setattr(reduction, "apply_pipeline", lossy)
+    for module in (cleaned_block, signal_maps):
+        monkeypatch.setattr(module, "apply_pipeline", lossy)
     strong = {"atmosphere__b2": "[2000, 5000, 10000] mK2 rad(-5/3)"}  # so that no other scan is lost
     found = observe(
         setup_of(**SOURCES[source], **strong, score__mask_separation_f_lambda=None), 0, with_signal_sims=True
     )
-    assert cleaned == [4, again, again] and found.signal_maps.any()
+    assert cleaned == [4, *again] and found.signal_maps.any()
 
 
 def test_a_fit_that_other_scans_share_with_the_sky_tells_nothing(setup_of, monkeypatch):
-    clean, cleaned = reduction.apply_pipeline, []
+    clean = cleaned_block.apply_pipeline
 
     def lossy(*arguments, **options):
-        done = clean(*arguments, **options)
-        cleaned.append(len(done.kept))
-        return done if len(cleaned) == 1 else replace(done, kept=np.arange(4) > 0)
+        return replace(clean(*arguments, **options), kept=np.arange(4) > 0)
 
-    monkeypatch.setattr(reduction, "apply_pipeline", lossy)
+    monkeypatch.setattr(signal_maps, "apply_pipeline", lossy)
     found = observe(setup_of(**SOURCES["observation"], score__mask_separation_f_lambda=None), 0, with_signal_sims=True)
     assert not found.signal_maps.any()
+
+
+@pytest.mark.parametrize("algorithm", ["average", "quadratic", "wind", "pca", "local", "none"])
+def test_skies_in_one_pass_have_the_bits_of_skies_in_turn(setup_of, monkeypatch, algorithm):
+    keys = {"pca": {"cleaning__sigma_cut": 3.0}, "local": {"cleaning__neighbour_radius": 1.5}}.get(algorithm, {})
+    setup = setup_of(cleaning__algorithm=algorithm, score__mask_separation_f_lambda=None, **keys)
+    together = observe(setup, 0, with_signal_sims=True).signal_maps
+    monkeypatch.setattr(signal_maps, "_MOST_SAMPLES", 1)
+    np.testing.assert_array_equal(observe(setup, 0, with_signal_sims=True).signal_maps, together)
+    assert together.any(axis=(-1, -2)).all()
 
 
 # ---------------------------------------------------------------- forecast

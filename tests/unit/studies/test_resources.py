@@ -5,8 +5,8 @@ import pytest
 from surveysim.api import run
 from surveysim.atmosphere import screen_simulation as screen
 from surveysim.output import writer as outputs
+from surveysim.reduction import cleaned_block, setup
 from surveysim.reduction import observation as reduction
-from surveysim.reduction import setup
 from surveysim.reduction.setup import prepare
 from surveysim.results import agreement, control_variate
 from surveysim.runtime.engine import SERIAL
@@ -58,7 +58,7 @@ DOES = {
     "ephemerides": [(simulation, "schedule")],
     "opacity": [(setup, "site_water")],
     "score": [(control_variate, "score_survey")],
-    "transfer function": [(sky_maps, "flat_cmb_sky"), (reduction, "_add_signal_maps")],
+    "transfer function": [(sky_maps, "flat_cmb_sky"), (reduction, "add_signal_maps")],
     "forecast": [(agreement, "forecast")],
     "best pipeline": [(reduction, "figures_of_merit")],
     "HEALPix": [(outputs, "write_healpix")],
@@ -154,7 +154,7 @@ def test_stages_run_or_are_left_out_as_the_plan_says(tmp_path, called, name):
 def test_other_bands_are_drawn_only_where_subtracted(monkeypatch, algorithm, subtracted):
     settings = {"cleaning.algorithm": algorithm, "cleaning.compare": [], "observations": 2}
     ready, drawn = prepare(load_bands(SUZIE, settings).bands["143"]), []
-    monkeypatch.setattr(reduction, "draw_band", lambda *arguments: drawn.append(draw_band(*arguments)) or drawn[-1])
+    monkeypatch.setattr(cleaned_block, "draw_band", lambda *arguments: drawn.append(draw_band(*arguments)) or drawn[-1])
     plan = make_plan(ready, 1)
     assert (plan.left_out.get("other bands") is None) == subtracted
     assert (len(drawn) > 0) == subtracted and all(len(streams) > 0 for streams in drawn)
@@ -166,8 +166,8 @@ def test_observations_of_several_blocks_are_measured_on_one(tmp_path, monkeypatc
     path.write_text(SMALL_SCENE)
     whole = make_plan(prepare(load_scene(path)), 1)
     ready = prepare(load_scene(path, {"numerics.max_block_memory": "9 kB"}))
-    drawn, draw = [], reduction.draw_block
-    monkeypatch.setattr(reduction, "draw_block", lambda *args: drawn.append(args[3].n_scans) or draw(*args))
+    drawn, draw = [], cleaned_block.draw_block
+    monkeypatch.setattr(cleaned_block, "draw_block", lambda *args: drawn.append(args[3].n_scans) or draw(*args))
     found = make_plan(ready, 1)
     assert drawn == [2, 1]
     assert (

@@ -34,6 +34,12 @@ def test_every_component_has_a_section_and_those_that_are_seen_come_first():
     assert seen == sorted(seen, reverse=True)
 
 
+def test_components_that_flag_samples_are_the_losses_of_a_scene(scene):
+    every = scene.model_copy(update=dict.fromkeys(ReadoutSections.model_fields, True))
+    assert every.losses == tuple(item.name for item in COMPONENTS if item.flag is not None)
+    assert scene.losses == ()
+
+
 def test_present_components(scene, tmp_path):
     assert [item.name for item in present_components(scene)] == ["atmosphere", "excess", "sky", "photon", "detector"]
     path = tmp_path / "white.toml"

@@ -158,7 +158,7 @@ def test_signal_and_hits_do_not_depend_on_the_cut(setup_of):
 
 def test_discarded_scans_are_counted_over_blocks(setup_of, monkeypatch):
     """One scan in every block lost: as many hits less, and means over what is left."""
-    from surveysim.reduction import observation as reduction
+    from surveysim.reduction import cleaned_block as reduction
 
     strong = {"atmosphere__b2": "[2000, 5000, 10000] mK2 rad(-5/3)"}  # so that no other scan is lost
     whole = setup_of(blocks=2, score__noise_only_sets=["white"], **strong)

@@ -8,7 +8,7 @@ from numba.core.compiler_lock import global_compiler_lock
 
 from mapmaker.kernels.compiled import compile_s, compile_timer, is_cached
 from surveysim import load_scene, run
-from surveysim.reduction import observation
+from surveysim.reduction import cleaned_block
 from surveysim.runtime.engine import SERIAL
 from surveysim.timestreams.observation import Stopwatch
 from tests.scenes import write_scene
@@ -40,7 +40,7 @@ def test_warm_stage_counts_whole():
 def test_cost_of_a_run_leaves_out_compilation(tmp_path, monkeypatch):
     """The first observation compiles for long."""
     clock = [0.0]
-    auxiliary_data = observation.AuxiliaryData
+    auxiliary_data = cleaned_block.AuxiliaryData
 
     def slow(*arguments):
         if clock[0] == 0:
@@ -50,7 +50,7 @@ def test_cost_of_a_run_leaves_out_compilation(tmp_path, monkeypatch):
 
     for name in ("surveysim.timestreams.observation.perf_counter", "numba.core.event.timer"):
         monkeypatch.setattr(name, lambda: perf_counter() + clock[0])
-    monkeypatch.setattr(observation, "AuxiliaryData", slow)
+    monkeypatch.setattr(cleaned_block, "AuxiliaryData", slow)
     result = run(load_scene(write_scene(tmp_path)), engine=SERIAL)
     assert clock[0] == COMPILING_S and result.coadds.done == 4
     assert result.coadds.each_s < 0.2 * COMPILING_S / 4

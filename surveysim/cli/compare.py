@@ -1,0 +1,31 @@
+"""The command compare: finished runs beside each other."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from surveysim.cli.options import Force, NoFigures, Quiet
+
+
+def compare(
+    directories: Annotated[
+        list[Path], typer.Argument(metavar="DIR DIR ...", help="Two or more directories of runs, or of points of a sweep.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Directory for table, figures and report; by default none.")
+    ] = None,
+    no_figures: NoFigures = False,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compare finished runs: settings that differ, scores with paired errors, spectra.
+
+    Ratios are to the first run.
+    """
+    from surveysim.api import compare as compare_runs
+    from surveysim.report.terminal.compare import print_comparison
+
+    result = compare_runs(directories, out, figures=not no_figures, force=force)
+    if not quiet:
+        print_comparison(result, out)
