@@ -117,6 +117,6 @@ def _simulated(
     start, sweep = perf_counter(), designs_sweep(problem, found)
     results = of_one_kind(run_points(sweep, points, engine, resume, progress))
     with threadpool_limits(1):  # the same bits on any machine
-        comparison = compare_runs(results, np.random.default_rng(DRAWS_SEED), sweep.reference)
+        comparison = compare_runs(results, np.random.default_rng(DRAWS_SEED), sweep.reference, sweep.metric)
     workers = engine.workers_for(len(sweep.points))
     return SweepResult(sweep, results, comparison, True, perf_counter() - start, workers, engine.kind, None)

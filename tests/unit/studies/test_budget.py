@@ -256,3 +256,23 @@ def test_waterfall_ends_at_the_whole_scene(simulated):
     assert steps[0][0] == "Detector noise alone" and steps[-1][0] == "whole scene"
     assert sum(found.value for _, found, _ in steps[:-1]) == pytest.approx(1)
     assert len(simulated[0].plot().axes) == 2
+
+
+@pytest.mark.slow
+def test_errors_are_the_scatter_of_seeds(write):
+    """Costs of shared photon noise in 20 surveys: chi^2 per degree of freedom, 19 of them, is 0.47 to 1.73 in 95 %."""
+    text = WHITE.replace('coherence = "none"', 'coherence = "field"').replace("jackknives = 4", "jackknives = 32")
+    path = write(
+        text.replace("coherent_fraction = 0.1", "coherent_fraction = 0.9").replace(
+            "observations = 4", "observations = 8", 1
+        )
+    )
+    costs = []
+    for seed in range(20):
+        result = budget(load_budget(path, {"seed": seed}), engine=SERIAL)
+        row = next(item for item in result.costs if item.row.name == "photon.coherence")
+        costs.append((row.added_time.value, row.added_time.error))
+    value, error = np.array(costs).T
+    weight = error**-2
+    chi2 = weight @ (value - weight @ value / weight.sum()) ** 2 / (len(value) - 1)
+    assert 0.47 < chi2 < 1.73, (chi2, value.mean(), value.std(), error.mean())
