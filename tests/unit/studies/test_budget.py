@@ -246,7 +246,14 @@ def test_page_is_made_of_the_files_alone(simulated):
     first = (out / "report.html").read_bytes()
     assert write_report(out).read_bytes() == first
     text = first.decode()
-    for part in ("Cost of each stage", "Scenes without a stage", "--set excess=", "data:image/png", "Points"):
+    for part in (
+        "Cost of each stage",
+        "Options that remove each stage",
+        "--set excess=",
+        "data:image/png",
+        "Options of each point",
+        "0 mK2 / Hz",
+    ):
         assert part in text
 
 
