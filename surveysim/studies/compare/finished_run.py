@@ -61,6 +61,11 @@ class FinishedRun:
     without: str
 
     @property
+    def discarded(self) -> Mapping[str, float]:
+        """Fractions of discarded scans by data set."""
+        return self.summary.get("discarded", {})
+
+    @property
     def origin(self) -> tuple[int, str] | None:
         """Seed and version, which random numbers depend on; None if errors can't be paired."""
         return None if self.result is None else (self.summary["seed"], self.summary["surveysim"])

@@ -98,7 +98,7 @@ def run_points(
     progress
         Function of the number of finished points.
     keep
-        Function that writes the results of a point where it runs, by its number; None for none.
+        Function that writes the results of a point where it runs; None for none.
 
     Raises
     ------

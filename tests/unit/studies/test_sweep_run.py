@@ -213,6 +213,8 @@ def test_each_point_has_the_files_of_a_run(levels, tmp_path):
         if name.startswith("tables/"):
             assert (out / "points" / "1" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
     (link,) = [item for item in read_page(out / "report.html").all("a") if "points/1" in item.attributes["href"]]
+    title = read_page(out / "points" / "1" / "report.html").one("h1").text
+    assert title.endswith(": detector.psd = 10 mK²/Hz") and content["point"] == "detector.psd = 10 mK2 / Hz"
     assert link.text == "10 mK²/Hz" and link.attributes["href"] == "points/1/report.html"
 
 
