@@ -151,7 +151,7 @@ def _kept(sweep: Sweep, stages: Sequence[Stage], directory: Path) -> dict[Stage,
                 "start anew with --force, or write elsewhere with --out"
             )
     there = [stage for stage in stages if os.path.lexists(directory / stage.file)]
-    return {stage: load_point(directory / stage.file, stage.point) for stage in there}
+    return {stage: load_point(directory / stage.file, stage.point, stage.observations) for stage in there}
 
 
 def _discarded(found: Forecast | None) -> dict[str, float]:
