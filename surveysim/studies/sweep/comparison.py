@@ -264,8 +264,8 @@ def _of_one_weather(items: list[DataSetScore], responses: list[Response]) -> lis
 
 
 def _scatter(item: DataSetScore, response: Response) -> float:
-    if not response.noise.any():
-        return 0.0
+    if not (np.isfinite(response.noise).all() and response.noise.any()):
+        return response.budget.weather
     shares = item.shares(response.noise, response.exponent)
     return float(np.std(shares, ddof=1) * len(shares) ** 0.5) * student_factor(len(shares))
 
