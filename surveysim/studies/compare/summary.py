@@ -27,7 +27,7 @@ def comparison_summary(result: RunComparison) -> dict[str, Any]:
 
 def _run_entry(result: RunComparison, number: int) -> dict[str, Any]:
     run = result.runs[number]
-    summary, stopped = run.summary, run.summary.get("stopped", {})
+    summary, stopped = run.summary, run.summary.get("stopped") or {}
     entry = {
         "label": run.label,
         "directory": str(run.directory),

@@ -358,7 +358,7 @@ def test_wrong_files_of_points(write, tmp_path, monkeypatch, kind, damage):
 def test_points_come_back_from_their_files(levels, tmp_path):
     point = levels[0].points[1]
     save_point(tmp_path / "000.npz", point, scene_hash(levels[0].sweep.points[1].scene))
-    again = load_point(tmp_path / "000.npz", levels[0].sweep.points[1])
+    again = load_point(tmp_path / "000.npz", levels[0].sweep.points[1], 4)
     assert isinstance(again, PointResult) and again.forecast_ukcmb2 == point.forecast_ukcmb2
     assert (again.n_det, again.skies, again.unscored, again.wall_s) == (18, point.skies, "", point.wall_s)
     one, other = point.scores["actual"], again.scores["actual"]
