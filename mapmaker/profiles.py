@@ -12,7 +12,7 @@ from mapmaker.validation import number, reals
 
 # Generalized NFW profile of the pressure of clusters (Arnaud et al. 2010, A&A 517, A92, eq. 12).
 CONCENTRATION, GAMMA, ALPHA, BETA = 1.177, 0.3081, 1.0510, 5.4905
-EDGE = 5.0  # radius of the cluster [R500], that of Y_5R500 in the same paper, section 6
+EDGE = 5.0  # radius of the cluster [R500], that of Y_5R500 in the same paper
 _NODES = 200  # of the radius
 _INNERMOST = 1e-8  # radius [R500] within which 1e-5 of the line of sight's pressure lies
 

@@ -16,6 +16,7 @@ from surveysim.results.bands import MultiBandForecast, MultiBandResult
 from surveysim.results.results import SurveyResult
 from surveysim.runtime.engine import Engine
 from surveysim.scene.bands import MultiBandScene, has_bands
+from surveysim.scene.metrics import SIGMA_KEY
 from surveysim.scene.scene import Scene
 from surveysim.studies.resources import Plan
 from surveysim.studies.sweep.axes import Sweep
@@ -62,6 +63,7 @@ def run(
     figures: bool = True,
     progress: Callable[[CoAddTree], None] = lambda sums: None,
     target_error: float | None = None,
+    target_metric: str = SIGMA_KEY,
     time_budget_s: float | None = None,
     force: bool = False,
 ) -> SurveyResult | MultiBandResult:
@@ -94,8 +96,10 @@ def run(
         Called with the sums so far after each observation, or after several: their attribute `done` counts the
         observations, their method `so_far()` adds them up.
     target_error
-        Stop at this relative error of sigma(A) of the data set "actual", with the forecast as control variate where
+        Stop at this relative error of the metric of the data set "actual", with the forecast as control variate where
         there is one.
+    target_metric
+        Key of a quantity, such as "array_net.array_rj"; by default sigma(A).
     time_budget_s
         Stop after this time [s]; bands get equal parts of it.
     force
@@ -128,6 +132,7 @@ def run(
         figures=figures,
         progress=progress,
         target_error=target_error,
+        target_metric=target_metric,
         time_budget_s=time_budget_s,
         force=force,
     )

@@ -16,6 +16,7 @@ from surveysim.results.stopping import StoppingCriteria, check_limits
 from surveysim.runtime.engine import Engine
 from surveysim.runtime.errors import InputError, NotForecastableError, SceneError
 from surveysim.scene.bands import MultiBandScene, load_bands, of_each_band
+from surveysim.scene.metrics import SIGMA_KEY
 from surveysim.scene.scene import Scene
 from surveysim.scene.shipped import find_scene
 from surveysim.studies.resources import Plan
@@ -37,6 +38,7 @@ def run_bands(
     progress: Progress = lambda sums: None,
     display: Callable[[Setup], AbstractContextManager[Progress]] | None = None,
     target_error: float | None = None,
+    target_metric: str = SIGMA_KEY,
     time_budget_s: float | None = None,
     force: bool = False,
 ) -> MultiBandResult:
@@ -45,7 +47,7 @@ def run_bands(
     `display` makes the `progress` of one band, for the time of its run.
     """
     start, scenes = perf_counter(), checked_bands(scenes)
-    limits = StoppingCriteria(target_error, time_budget_s)
+    limits = StoppingCriteria(target_error, time_budget_s, target_metric)
     of_each_band(scenes.path, scenes.content, lambda name: check_limits(prepare(scenes.bands[name]), limits))
     if save_timestreams and out is None:
         raise InputError("save_timestreams: found no output directory; one is expected")
@@ -64,7 +66,7 @@ def run_bands(
                     save_timestreams=save_timestreams,
                     figures=figures,
                     progress=shown,
-                    limits=StoppingCriteria(target_error, budget),
+                    limits=StoppingCriteria(target_error, budget, target_metric),
                     force=force,
                 )
             if (strips := found[name].setup.air.strips) is not None:
@@ -109,6 +111,7 @@ def _run_band(
             figures=figures,
             progress=progress,
             target_error=limits.target_error,
+            target_metric=limits.metric,
             time_budget_s=limits.time_budget_s,
             force=force,
         )

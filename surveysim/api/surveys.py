@@ -17,6 +17,7 @@ from surveysim.results.results import SurveyResult, survey_result
 from surveysim.results.stopping import StoppingCriteria, check_limits, stopping_rule
 from surveysim.runtime.engine import SERIAL, Engine, default_workers
 from surveysim.runtime.errors import InputError, SceneError
+from surveysim.scene.metrics import SIGMA_KEY
 from surveysim.scene.scene import Scene, load_scene
 from surveysim.scene.shipped import find_scene
 from surveysim.studies.resources import Plan, make_plan
@@ -69,11 +70,12 @@ def run_survey(
     figures: bool = True,
     progress: Callable[[CoAddTree], None] = lambda sums: None,
     target_error: float | None = None,
+    target_metric: str = SIGMA_KEY,
     time_budget_s: float | None = None,
     force: bool = False,
 ) -> SurveyResult:
     """Simulate, clean, map and score a scene of one band; parameters and errors are those of `surveysim.run`."""
-    start, limits = perf_counter(), StoppingCriteria(target_error, time_budget_s)
+    start, limits = perf_counter(), StoppingCriteria(target_error, time_budget_s, target_metric)
     setup = prepare(_scene(scene))
     check_limits(setup, limits)
     engine = engine.for_work(is_quick(setup, target_error))

@@ -51,6 +51,7 @@ def run_bands(
             figures=figures,
             display=lambda setup: _display(setup, engine, quiet, limits.target_error),
             target_error=limits.target_error,
+            target_metric=limits.metric,
             time_budget_s=limits.time_budget_s,
             force=force,
         )

@@ -123,12 +123,12 @@ def engine(kind: str, workers: int | None, scheduler: str | None) -> "Engine":
         raise SceneError(f"--{error}") from None
 
 
-def run_limits(target_error: str | None, time_budget: str | None) -> "StoppingCriteria":
+def run_limits(target_error: str | None, time_budget: str | None, metric: str | None) -> "StoppingCriteria":
     """Read the criteria that stop a run early."""
     from surveysim.results.stopping import parsed_limits
 
     try:
-        return parsed_limits(target_error, time_budget)
+        return parsed_limits(target_error, time_budget, metric)
     except InputError as error:
         raise SceneError(str(error)) from None
 

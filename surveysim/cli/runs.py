@@ -67,6 +67,10 @@ def run(
             help='Stop at this relative error of sigma(A), or of the ratios of a sweep\'s best points, such as "3%".',
         ),
     ] = None,
+    target_metric: Annotated[
+        str | None,
+        typer.Option(metavar="KEY", help='Metric of the target error of a run, such as "array_net.array_rj".'),
+    ] = None,
     confidence: Annotated[
         str | None,
         typer.Option(metavar="SHARE", help='Confidence in the best point of a sweep with a target error; "95%".'),
@@ -93,6 +97,8 @@ def run(
         refuse_keep_all(scene, point, sweep is not None)
     if sweep and point is None:
         refuse_for_sweep(scene, save_timestreams, time_budget)
+        if target_metric is not None:
+            fail(f"{scene}: --target-metric: found a sweep; its key 'sweep.metric' is expected")
         of_sweep = sweep_limits(target_error, confidence)
         own = options.settings(settings, reference) | sweep_limits_settings(of_sweep)
         _run_sweep(
@@ -110,7 +116,7 @@ def run(
         return
     if confidence is not None:
         fail(f"{scene}: --confidence: found a run of a scene; a sweep with --target-error is expected")
-    limits = options.run_limits(target_error, time_budget)
+    limits = options.run_limits(target_error, time_budget, target_metric)
     asked: dict[str, Any] = {"save_timestreams": save_timestreams, "figures": not no_figures, "force": force}
     if point is None and (scenes := bands_of(scene, settings)):
         from surveysim.cli.bands import run_bands
@@ -145,7 +151,7 @@ def _run_scene(
     checked, engine = setup.scene, engine.for_work(is_quick(setup, limits.target_error))
     engine.start_early()
     if limits.target_error is not None and checked.score is None:
-        fail(f"{scene}: --target-error: found no [score]; the error is one of sigma(A), which needs it")
+        fail(f"{scene}: --target-error: found no [score]; the error is one of a score, which needs it")
     from surveysim.api import run_survey
     from surveysim.cli.progress import (
         announce_compilation,
@@ -178,6 +184,7 @@ def _run_scene(
             figures=figures,
             progress=stopping(shown),
             target_error=limits.target_error,
+            target_metric=limits.metric,
             time_budget_s=limits.time_budget_s,
             force=force,
         )

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -179,7 +179,7 @@ def _spectrum_psd(setup: Setup, spectrum: Spectrum) -> np.ndarray:
 
 def noise_of_score(setup: Setup, item: DataSetScore) -> tuple[MapNoise, MapNoise]:
     """Return the noise of a scored data set as quoted, over all weather with a control variate, and as simulated."""
-    exposure = partial(_exposure, setup, item.name)
+    exposure = cache(partial(_exposure, setup, item.name))
     passed = item.transfer_function.transmission
     plain = MapNoise(scored_map(setup), item.name, item.n_det, item.noise_psd, passed, exposure)
     return replace(plain, noise_psd=item.quoted_psd), plain
@@ -187,7 +187,7 @@ def noise_of_score(setup: Setup, item: DataSetScore) -> tuple[MapNoise, MapNoise
 
 def noise_of_forecast(setup: Setup, item: DataSetForecast, factor: np.ndarray | float = 1.0) -> MapNoise:
     """Return the forecast noise of a data set, times a factor (n_bin,)."""
-    exposure = partial(_exposure, setup, item.name)
+    exposure = cache(partial(_exposure, setup, item.name))
     return MapNoise(scored_map(setup), item.name, item.n_det, item.noise_psd * factor, item.transmission, exposure)
 
 

@@ -12,6 +12,7 @@ from surveysim.atmosphere.weather import Water, fastest_wind, survey_weather
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.memory import machine_bytes
 from surveysim.scene.atmosphere import Atmosphere
+from surveysim.scene.readout import DroppedSamples, Glitches
 from surveysim.scene.scene import Scene
 from surveysim.telescope.noise_levels import stop_emits
 from surveysim.telescope.pixel_coherence import MOST_DENSE
@@ -145,6 +146,8 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     compared = 2 + len(scene.cleaning.compare)
     # Flags, and streams whose gaps are filled, beside the streams.
     filled = of.n_det * of.n_samp * of.n_scans * (1 + 2 * real) if scene.losses else 0
+    seconds = of.n_det * of.n_samp * of.n_scans / scene.scan.sample_rate_hz
+    events = {key: 100.0 * seconds * section.rate_hz for key, section in _events(scene).items() if section}
     # A block of one scan does not depend on the limit.
     block_key = "numerics.max_block_memory" if of.n_scans > 1 else "scan.duration"
     needed = {
@@ -159,8 +162,14 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
         "instrument.layout": (56.0 if stop_emits(scene) else 32.0) * pairs,
         "observations": 8.0 * scene.observations * (compared * n_freq + 4 * scene.scan.scans),
         "sky.curved_lmax": 48.0 * of.n_coefficients,
+        **events,
     }
     return {key: float(size) for key, size in needed.items()} | {"instrument": PROGRAM_BYTES}
+
+
+def _events(scene: Scene) -> dict[str, Glitches | DroppedSamples | None]:
+    """Sections, by the key of their rate, of random events in the streams."""
+    return {"glitches.rate": scene.glitches, "dropped_samples.rate": scene.dropped_samples}
 
 
 def _cleaning_memory(scene: Scene, of: Sizes) -> float:

@@ -84,6 +84,13 @@ def _of_data_set(
     return found
 
 
+def relative_error(setup: Setup, item: DataSetScore, key: str) -> float:
+    """Return the relative error of a quantity of one data set as quoted; NaN if unknown."""
+    metric, _, name = key.partition(".")
+    found = estimates(metric_functions(setup.scene.score)[metric], item, *noise_of_score(setup, item))
+    return found[name][1].response.budget.total
+
+
 def values(functions: Mapping[str, MetricFunction], noise: MapNoise) -> dict[str, Quantity]:
     """Return the quantities of some metrics by key."""
     return {f"{name}.{item.name}": item for name, function in functions.items() for item in function(noise)}

@@ -132,7 +132,14 @@ class SurveyResult:
     @property
     def stopped(self) -> str:
         """Reason for the end of the run: "all" of its observations, or its "target" or "budget"."""
-        return stop_reason(self.setup, self.limits, self.coadds.done, self.estimate)
+        return stop_reason(self.setup, self.limits, self.coadds.done, self.relative_error)
+
+    @property
+    def relative_error(self) -> float | None:
+        """Relative error of the metric of the limits, by default of sigma(A); None without a score."""
+        if ACTUAL not in self.metrics:
+            return None
+        return self.metrics[ACTUAL][self.limits.metric].quoted.response.budget.total
 
     @property
     def parts(self) -> ErrorParts | None:

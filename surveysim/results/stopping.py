@@ -12,9 +12,11 @@ from time import perf_counter
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.results.control_variate import quoted_scores
+from surveysim.results.metrics import relative_error
 from surveysim.runtime.errors import InputError, InsufficientDataError, SceneError
+from surveysim.scene.metrics import SIGMA_KEY, metric_keys
 from surveysim.scene.scene import Scene
-from surveysim.scene.units import to_float
+from surveysim.scene.units import shown, to_float
 from surveysim.survey.coadd_tree import CoAddTree
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.scores import DataSetScore, noise_parts
@@ -34,15 +36,18 @@ class StoppingCriteria:
     Parameters
     ----------
     target_error : float, optional
-        Relative error of sigma(A).
+        Relative error of the metric.
     time_budget_s : float, optional
         Time [s] since the start.
+    metric : str
+        Key of a quantity of the actual data, by default sigma(A).
     in_rounds : bool
         Whether the rounds of a sweep end the run.
     """
 
     target_error: float | None = None
     time_budget_s: float | None = None
+    metric: str = SIGMA_KEY
     in_rounds: bool = False
 
     def __post_init__(self) -> None:
@@ -98,8 +103,10 @@ class TimeToPrecision:
     skies: int
 
 
-def parsed_limits(target_error: str | None, time_budget: str | None) -> StoppingCriteria:
+def parsed_limits(target_error: str | None, time_budget: str | None, metric: str | None = None) -> StoppingCriteria:
     """Parse limits from texts such as "3%" or "0.03" and "60 s" or "2 min"; raise InputError for other texts."""
+    if metric is not None and target_error is None:
+        raise InputError("--target-metric: found no --target-error, which is of this metric")
     parsed = []
     for name, text, unit in (("--target-error", target_error, ""), ("--time-budget", time_budget, "s")):
         try:
@@ -107,13 +114,18 @@ def parsed_limits(target_error: str | None, time_budget: str | None) -> Stopping
         except InputError as error:
             raise InputError(f"{name}: {error}") from None
     target, budget = parsed
-    return StoppingCriteria(target, budget)
+    return StoppingCriteria(target, budget, metric or SIGMA_KEY)
 
 
 def check_limits(setup: Setup, limits: StoppingCriteria) -> None:
-    """Raise SceneError for a target error without a score in the scene."""
-    if limits.target_error is not None and setup.scene.score is None:
-        raise SceneError("score: missing; a target error is one of sigma(A), which needs it")
+    """Raise SceneError for a target error without a score in the scene, or of a metric that the scene lacks."""
+    score = setup.scene.score
+    if limits.target_error is None:
+        return
+    if score is None:
+        raise SceneError("score: missing; a target error is one of a score, which needs it")
+    if limits.metric not in (known := metric_keys(score.metrics)):
+        raise SceneError(f"target metric: found {shown(limits.metric)}; one of {', '.join(known)} is expected")
 
 
 def stopping_rule(setup: Setup, limits: StoppingCriteria, begun: float) -> Callable[[CoAddTree], bool] | None:
@@ -127,8 +139,8 @@ def stopping_rule(setup: Setup, limits: StoppingCriteria, begun: float) -> Calla
 
     def stops(sums: CoAddTree) -> bool:
         if limits.target_error is not None and may_end(setup.scene, sums.done):
-            found = estimate_so_far(setup, sums.so_far())
-            if found is not None and found.relative_error <= limits.target_error:
+            error = error_so_far(setup, sums.so_far(), limits.metric)
+            if error is not None and error <= limits.target_error:
                 return True
         over = limits.time_budget_s is not None and perf_counter() - begun >= limits.time_budget_s
         return over and sums.done > 0 and sums.done % 2 == 0
@@ -147,13 +159,16 @@ def is_boundary(done: int) -> bool:
     return done >= FEWEST and done % (_SPACING * 2 ** max(0, done.bit_length() - 7)) == 0
 
 
-def stop_reason(setup: Setup, limits: StoppingCriteria, done: int, found: Estimate | None) -> str:
-    """Return the reason for the end of a run: "all" observations, its "target", its time "budget" or its "sweep"."""
+def stop_reason(setup: Setup, limits: StoppingCriteria, done: int, error: float | None) -> str:
+    """Return the reason for the end of a run: "all" observations, its "target", its time "budget" or its "sweep".
+
+    `error` is the relative error of the metric of the limits, None without a score.
+    """
     if done == setup.scene.observations:
         return "all"
     if limits.in_rounds:
         return "sweep"
-    reached = found is not None and limits.target_error is not None and found.relative_error <= limits.target_error
+    reached = error is not None and limits.target_error is not None and error <= limits.target_error
     return "target" if reached and may_end(setup.scene, done) else "budget"
 
 
@@ -161,6 +176,14 @@ def estimate_so_far(setup: Setup, coadds: CoAdds) -> Estimate | None:
     """Return the best estimate from the observations so far; None without one."""
     try:
         return best_estimate(quoted_scores(setup, coadds, (ACTUAL,)))
+    except InsufficientDataError:  # too few scans are kept so far
+        return None
+
+
+def error_so_far(setup: Setup, coadds: CoAdds, metric: str) -> float | None:
+    """Return the relative error of a metric of the actual data from the observations so far; None without a score."""
+    try:
+        return relative_error(setup, quoted_scores(setup, coadds, (ACTUAL,))[ACTUAL], metric)
     except InsufficientDataError:  # too few scans are kept so far
         return None
 

@@ -148,7 +148,8 @@ def _stopped_entry(result: SurveyResult) -> dict[str, Any]:
         **limits,
     }
     if estimate:
-        entry |= known({"estimate": estimate.kind, "relative_error": estimate.relative_error})
+        told = {"metric": result.limits.metric, "relative_error": result.relative_error}
+        entry |= known({"estimate": estimate.kind} | told)
     return entry
 
 

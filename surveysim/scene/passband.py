@@ -85,10 +85,10 @@ class Passband:
 
     @property
     def sz_k_cmb(self) -> float:
-        """CMB temperature [K] of the thermal Sunyaev-Zeldovich effect per Compton parameter y: -2.67 at 143 GHz.
+        """CMB temperature [K] of the thermal Sunyaev-Zeldovich effect per Compton parameter y: -2.84 at 143 GHz.
 
         The mean over the band of ``T_CMB (x coth(x / 2) - 4)``, weighted by Rayleigh-Jeans temperature per CMB
-        temperature (Carlstrom et al. 2002, ARA&A 40, 643, eq. 2 and 3). It is not relativistic: the electrons of
+        temperature (Carlstrom et al. 2002, ARA&A 40, 643, section 2). It is not relativistic: the electrons of
         massive clusters change it by some per cent.
         """
         frequency, _ = self.nodes

@@ -9,6 +9,13 @@ from surveysim.scene.readout import GroupSize
 from surveysim.scene.section import Section
 
 
+def _one_of(section: Section, **keys: str) -> None:
+    """Raise ValueError for a section without any of some keys, by field; a key may be 0, as in a sweep."""
+    if section.model_fields_set.isdisjoint(keys):
+        first, *others = keys.values()
+        raise ValueError(f"{first}: missing; it or one of {', '.join(map(repr, others))} is expected")
+
+
 class ResponsivityDrift(Section):
     """Changes of the detectors' responsivities within an observation: slow drifts, and losses by the load."""
 
@@ -16,7 +23,7 @@ class ResponsivityDrift(Section):
     """Fractional rms of the drift of each detector, independent of other detectors and observations."""
     time_scale_s: Duration | None = Field(alias="time_scale", default=None)
     """Time T of the drift, a scan or longer: its correlation at a lag t is exp(-t^2 / 2 T^2). Required with `rms`."""
-    load_coefficient_k: Annotated[float, *quantity("1 / K", at_least="-0.2 / K", at_most="0.2 / K")] = Field(
+    load_coefficient_per_k: Annotated[float, *quantity("/ K", at_least="-0.2 / K", at_most="0.2 / K")] = Field(
         alias="load_coefficient", default=0.0
     )
     """Fractional loss of responsivity for each K (Rayleigh-Jeans) of additional load. Loads change with the airmass of
@@ -34,10 +41,9 @@ class ResponsivityDrift(Section):
     def _changes(self) -> Self:
         if self.rms and self.time_scale_s is None:
             raise ValueError("time_scale: missing; 'rms' needs it")
-        if not self.rms and not self.load_coefficient_k:
-            raise ValueError("rms: found 0 without 'load_coefficient'; one of the two is expected")
+        _one_of(self, rms="rms", load_coefficient_per_k="load_coefficient")
         for name in ("load_scatter", "calibration_elevation_rad"):
-            if getattr(self, name) and not self.load_coefficient_k:
+            if getattr(self, name) and "load_coefficient_per_k" not in self.model_fields_set:
                 raise ValueError(f"{name.removesuffix('_rad')}: found without 'load_coefficient', which it belongs to")
         return self
 
@@ -57,8 +63,7 @@ class Crosstalk(Section):
 
     @model_validator(mode="after")
     def _is_there(self) -> Self:
-        if not self.neighbour_fraction and not self.group_fraction:
-            raise ValueError("neighbour_fraction: found 0 without 'group_fraction'; one of the two is expected")
+        _one_of(self, neighbour_fraction="neighbour_fraction", group_fraction="group_fraction")
         return self
 
 
@@ -80,19 +85,20 @@ class PointingErrors(Section):
     def _is_there(self) -> Self:
         if self.drift_rad and self.drift_time_scale_s is None:
             raise ValueError("drift_time_scale: missing; 'drift' needs it")
-        if self.jitter_bandwidth_hz is not None and not self.jitter_rad:
+        if self.jitter_bandwidth_hz is not None and "jitter_rad" not in self.model_fields_set:
             raise ValueError("jitter_bandwidth: found without 'jitter', which it belongs to")
-        if not (self.jitter_rad or self.drift_rad or self.positions_rad):
-            raise ValueError("jitter: found 0 without 'drift' and 'positions'; one of the three is expected")
+        _one_of(self, jitter_rad="jitter", drift_rad="drift", positions_rad="positions")
         return self
 
 
 class TimeConstants(Section):
     """Time constants of the detectors: a low-pass filter with one pole, and its deconvolution."""
 
-    value_s: Duration | None = Field(alias="value", default=None)
+    value_s: Annotated[float, *quantity("s", at_least=0, at_most="10 day", zero_or="1 us")] | None = Field(
+        alias="value", default=None
+    )
     """Time constant of the detectors, up to a tenth of a scan. Alternative: the column `time_constant` of the table
-    `instrument.positions`."""
+    `instrument.positions`. 0 filters nothing, with the same random numbers as other values."""
     scatter: Share = 0.0
     """Scatter of `value` between detectors: standard deviation of its logarithm."""
     deconvolution_error: Annotated[float, *number(0, 0.5)] | None = None

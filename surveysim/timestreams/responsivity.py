@@ -88,7 +88,7 @@ def load_losses(scene: Scene, n_det: int) -> np.ndarray:
     """Loss (n_det,) of responsivity for each K of load: log-normal, of one sign."""
     section = scene.responsivity_drift
     scatter = generator(scene.seed, f"{_PURPOSE}.load", band=scene.band_name).standard_normal(n_det)
-    return section.load_coefficient_k * np.exp(section.load_scatter * scatter)
+    return section.load_coefficient_per_k * np.exp(section.load_scatter * scatter)
 
 
 def array_load_k(of: ObservedBlock, seen_mk: np.ndarray) -> np.ndarray:
@@ -96,7 +96,7 @@ def array_load_k(of: ObservedBlock, seen_mk: np.ndarray) -> np.ndarray:
 
     The layer is the mean of the streams that the detectors see: it differs little across the array.
     """
-    if not of.setup.scene.responsivity_drift.load_coefficient_k:
+    if not of.setup.scene.responsivity_drift.load_coefficient_per_k:
         return np.zeros(seen_mk.shape[1])
     return 1e-3 * seen_mk.mean(axis=0, dtype=float) + airmass_load_k(of)[of.pointing.scan]
 

@@ -20,6 +20,8 @@ PLACEHOLDERS = {
     "<gain>": f"{_DATA_SET} / {_DATA_SET}",
     "<origin>": "(?:shot|wave|phonon|recombination|amplifier|detector)",
     "<key>": f"(?:{'|'.join(map(re.escape, all_keys()))})",
+    "<cost>": "(?:detectors|data_rate|observing_time)",
+    "<key of a sweep>": ".+",
     "<metric>": r"[a-z]\w*\.\w+",
     "<low>": r"\d+",
     "<high>": r"\d+",

@@ -18,6 +18,7 @@ from surveysim.paper.scenes import TABLES, wanted
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL
 from surveysim.studies.convergence import measure_accuracy
+from surveysim.studies.optimise.store import FILE as EVALUATIONS
 from surveysim.studies.stress import CASES, run_case
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 from tests.camera import BOLOMETER, CAMERA, PHOTON
@@ -30,7 +31,7 @@ from tests.unit.paper.test_reproduce import SCENE as PAPER_SCENE
 pytestmark = pytest.mark.docs
 PAGE = documented(ROOT / "docs" / "reference" / "files.md")
 # With a note: the target is out of reach.
-SURVEYS = ("A run", "A camera of several bands", "A sweep", "A budget", "A comparison")
+SURVEYS = ("A run", "A camera of several bands", "A sweep", "A budget", "A comparison", "A search")
 
 METRICS = """
 [[score.metrics]]
@@ -74,7 +75,32 @@ observations = [4, 1]
 
 [sweep.weather]
 "atmosphere.b2" = ["{TURBULENT}", "{TURBULENT}", "{CALM}"]
-"scan.scans" = [4, 5, 2]
+"scan.scans" = [4, 5, 3]
+"""
+
+
+# Few forecasts of a metric that is smooth.
+SEARCH = """
+[optimise]
+rivals = 1
+
+[[optimise.knobs]]
+key = "score.signal_sims.band_power"
+low = "50 uK2"
+high = "20000 uK2"
+scale = "log"
+
+[[optimise.knobs]]
+key = "cleaning.algorithm"
+choices = ["average", "planar"]
+
+[[optimise.derived]]
+key = "detector.psd"
+value = "mK**2 / Hz * (score.signal_sims.band_power / (700 * uK**2) + 700 * uK**2 / score.signal_sims.band_power)"
+
+[[optimise.limits]]
+quantity = "score.signal_sims.band_power"
+at_most = "10000 uK2"
 """
 
 
@@ -82,12 +108,17 @@ observations = [4, 1]
 def made(tmp_path_factory):
     """Folders with what each command writes, by the headings of the page."""
     folder = tmp_path_factory.mktemp("files")
+    sweep = _sweep(folder)
     return {
-        "A run": [_rich_run(folder), _unscored_run(folder)],
+        "A run": [_rich_run(folder), _unscored_run(folder), folder / "points" / "0"],
         "A camera of several bands": [_bands(folder)],
-        "A sweep": [_sweep(folder)],
+        "A sweep": [sweep],
         "A budget": [*_budget(folder)],
         "A comparison": [_comparison(folder)],
+        "A search": [
+            _search(folder, "search"),
+            _search(folder, "front", 'metrics = ["flat_band_power.sigma", "detectors"]'),
+        ],
         "A forecast": [_forecast(folder)],
         "Accuracy": [_accuracy(folder)],
         "The paper": [_paper(folder)],
@@ -141,6 +172,13 @@ def _comparison(folder):
         surveysim.run(surveysim.load_scene(path, {"seed": seed}), folder / "seeds" / f"{seed}", figures=False)
     surveysim.compare([folder / "seeds" / "11", folder / "seeds" / "12"], folder / "compared")
     return folder / "compared"
+
+
+def _search(folder, name, metrics=""):
+    """A search with a limit that is not kept everywhere, and with the importance of its knobs."""
+    text = SMALL_SCENE.replace("dead = [5]\n", "") + SEARCH.replace("[optimise]\n", f"[optimise]\n{metrics}\n")
+    surveysim.optimise(_scene(folder, name, text), folder / name, simulate=not metrics, importance=2, engine=SERIAL)
+    return folder / name
 
 
 def _forecast(folder):
@@ -265,7 +303,7 @@ def test_the_list_of_files_in_the_summary_is_whole(made):
     for command in SURVEYS:
         for folder in made[command]:
             listed = set(json.loads((folder / "summary.json").read_text())["files"])
-            assert listed == files(folder).keys() - {"summary.json", CHECKPOINT, RECORD, "scene.toml"}
+            assert listed == files(folder).keys() - {"summary.json", CHECKPOINT, EVALUATIONS, RECORD, "scene.toml"}
 
 
 @pytest.mark.parametrize("command", [*SURVEYS, "The paper"])

@@ -29,9 +29,9 @@ def _drift(section: Values) -> Iterator[str]:
     if section["rms"]:
         yield f"Responsivities drift by {_percent(section['rms'])} rms within {short(section['time_scale_s'])} s, each"
         yield "detector by itself."
-    if section["load_coefficient_k"]:
+    if section["load_coefficient_per_k"]:
         scatter = f", with a scatter of {_percent(section['load_scatter'])}," if section["load_scatter"] else ""
-        yield f"They fall by {_percent(section['load_coefficient_k'])}{scatter} for each K of load"
+        yield f"They fall by {_percent(section['load_coefficient_per_k'])}{scatter} for each K of load"
         elevation = section["calibration_elevation_rad"]
         where = (
             "of the observation" if elevation is None else f"at an elevation of {_rounded(math.degrees(elevation))}°"

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from surveysim.report.html.components import Block, Cell, Grid, Text, cell
+from surveysim.results.metric_tables import label
 from surveysim.runtime.numbers import duration, number, percent, plural
 
 Content = Mapping[str, Any]  # content of summary.json or scene.json
@@ -28,7 +29,8 @@ def time_blocks(summary: Content, scene: Content) -> Iterator[Block]:
         f" The run ended when {reasons[stopped['reason']]}."
     )
     if stopped.get("relative_error") is not None:
-        text += f" σ(A) is known to {percent(stopped['relative_error'])}."
+        name = label(stopped["metric"]).replace("sigma", "σ")
+        text += f" {name} is known to {percent(stopped['relative_error'])}."
     yield Text((text,))
     if summary.get("error_budget"):
         yield _budget_grid(summary)
@@ -58,10 +60,10 @@ def _share(value: float | None) -> Cell:
 
 
 def _answer_grid(summary: Content, scene: Content) -> Grid:
-    score, run = scene["score"], summary["run"]
+    score, run, best = scene["score"], summary["run"], summary["estimate"]
     answers = summary["time_to_precision"]
     here = {
-        "relative_error": summary["stopped"]["relative_error"],
+        "relative_error": None if best["error_ukcmb2"] is None else best["error_ukcmb2"] / best["sigma_ukcmb2"],
         "seconds": sum(run["stage_s"].values()) / run["workers"],
         "observations": summary["observations"],
         "jackknives": score["jackknives"],

@@ -21,6 +21,7 @@ from surveysim.report.html.provenance import provenance, sources, stage_times
 from surveysim.report.html.run_time import time_blocks
 from surveysim.report.html.scene import band_of, cleaning_words, what_was_simulated
 from surveysim.report.html.scores import kind_sentence, score_blocks
+from surveysim.results.metric_tables import label
 from surveysim.results.sensitivity import sensitivity_tables
 from surveysim.results.tables import over_reference
 from surveysim.runtime.numbers import as_known, count, duration, percent, plural, quoted, short
@@ -59,7 +60,8 @@ def run_page(directory: Path, summary: Content, scene: Content) -> Page:
         Section("provenance", "Provenance", (provenance(summary), stage_times(summary["run"]))),
     ]
     lead = (*_lead(summary, scene), *warned(summary))
-    return Page("surveysim run", summary["title"], lead, _key_figures(summary), tuple(sections))
+    point = f": {summary['point']}" if "point" in summary else ""
+    return Page("surveysim run", f"{summary['title']}{point}", lead, _key_figures(summary), tuple(sections))
 
 
 def sensitivity_blocks(entries: Sequence[Content]) -> tuple[Grid, ...]:
@@ -122,6 +124,7 @@ def _key_figures(summary: Content) -> tuple[tuple[str, str], ...]:
             found += [(f"published [{UK2}]", short(row["reference_ukcmb2"])), ("over published", ratio)]
     if "relative_error" in summary["stopped"]:
         error = summary["stopped"]["relative_error"]
-        found.append(("error of σ(A)", "unknown" if error is None else percent(error)))
+        name = label(summary["stopped"]["metric"]).replace("sigma", "σ")
+        found.append((f"error of {name}", "unknown" if error is None else percent(error)))
     found.append(("observations", count(summary["observations"])))
     return (*found, ("wall time of the run", duration(summary["run"]["wall_s"])))

@@ -12,7 +12,7 @@ from surveysim.report.terminal.layout import Terminal
 from surveysim.report.terminal.tables import show_table
 from surveysim.results.agreement import GOOD_SIGMA
 from surveysim.results.method import CONTROLLED, PLAIN, method
-from surveysim.results.metric_tables import metric_notes, metric_table
+from surveysim.results.metric_tables import label, metric_notes, metric_table
 from surveysim.results.results import SurveyResult
 from surveysim.results.stopping import UNLIMITED, Estimate
 from surveysim.results.summary import summary
@@ -186,13 +186,13 @@ def cost_lines(result: SurveyResult) -> list[str]:
 
 def stop_lines(result: SurveyResult) -> list[str]:
     """Return the reason for the end of a run that had limits."""
-    limits, estimate = result.limits, result.estimate
+    limits, error = result.limits, result.relative_error
     if limits == UNLIMITED:
         return []
     reasons = {"target": "the target error was reached", "budget": "the time budget was spent"}
     reason = reasons.get(result.stopped, "all observations were done")
     line = f"Stopped: {reason}, {result.coadds.done} of {result.setup.scene.observations} observations simulated"
-    if estimate:
-        known = math.isfinite(estimate.relative_error)
-        line += f"; sigma(A) is known to {100 * estimate.relative_error:.1f} %" if known else "; its error is unknown"
+    if error is not None:
+        known = math.isfinite(error)
+        line += f"; {label(limits.metric)} is known to {100 * error:.1f} %" if known else "; its error is unknown"
     return [line]

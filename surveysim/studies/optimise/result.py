@@ -1,8 +1,9 @@
 """Result of an optimisation: the search by forecast, and the designs that were simulated."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from surveysim.scene.metrics import SIGMA_KEY, metric_keys
 from surveysim.studies.optimise.optimum import AS_IT_IS, Found
 from surveysim.studies.optimise.problem import Problem
 from surveysim.studies.sweep.axes import Axis, Sweep
@@ -96,6 +97,8 @@ class OptimiseResult:
 def designs_sweep(problem: Problem, found: Found) -> Sweep:
     """Make a sweep of the designs to simulate: one axis, whose first point, the reference, is the scene as it is.
 
+    Points are compared by the first metric of the search that is no cost.
+
     Raises
     ------
     SceneError
@@ -109,7 +112,9 @@ def designs_sweep(problem: Problem, found: Found) -> Sweep:
     names = {item.name: values for item, values in zip(designs, settings, strict=True)}
     steps = tuple((name, *(_shown(problem, values, key) for key in keys)) for name, values in names.items())
     axis = Axis("design", ("design", *keys), steps)
-    return sweep_along((axis,), problem.origin, lambda point: problem.scene_at(names[point["design"]]), 0)
+    sweep = sweep_along((axis,), problem.origin, lambda point: problem.scene_at(names[point["design"]]), 0)
+    known = metric_keys(problem.scene.score.metrics)
+    return replace(sweep, metric=next((key for key in problem.options.metrics if key in known), SIGMA_KEY))
 
 
 def _shown(problem: Problem, settings: dict[str, Any], key: str) -> Any:

@@ -52,7 +52,7 @@ def _within(item: Content) -> str:
     if "choices" in item:
         return ", ".join(map(value_text, item["choices"]))
     low, high = (f"{value_shown(item[end])}{ENDS[item[f'{end}_end']]}" for end in ("low", "high"))
-    return f"{low} to {high}"
+    return high if item["low"] == item["high"] else f"{low} to {high}"
 
 
 def metric_text(value: float) -> str:

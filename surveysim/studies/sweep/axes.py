@@ -171,7 +171,7 @@ def sweep_along(
     settings = [_settings(axes, place) for place in places]
     labels = [", ".join(axis.at(step) for axis, step in zip(axes, place, strict=True)) for place in places]
 
-    choices = given_choices(tomllib.loads(origin.text)["sweep"])
+    choices = given_choices(tomllib.loads(origin.text).get("sweep", {}))
     metric = str(choices.get(METRIC, SIGMA_KEY))
 
     def point(number: int) -> Point:

@@ -98,7 +98,7 @@ def run_points(
     progress
         Function of the number of finished points.
     keep
-        Function that writes the results of a point where it runs, by its number; None for none.
+        Function that writes the results of a point where it runs; None for none.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def _kept(sweep: Sweep, stages: Sequence[Stage], directory: Path) -> dict[Stage,
                 "start anew with --force, or write elsewhere with --out"
             )
     there = [stage for stage in stages if os.path.lexists(directory / stage.file)]
-    return {stage: load_point(directory / stage.file, stage.point) for stage in there}
+    return {stage: load_point(directory / stage.file, stage.point, stage.observations) for stage in there}
 
 
 def _discarded(found: Forecast | None) -> dict[str, float]:
@@ -271,8 +271,8 @@ def _of_one_weather(items: list[DataSetScore], responses: list[Response]) -> lis
 
 
 def _scatter(item: DataSetScore, response: Response) -> float:
-    if not response.noise.any():
-        return 0.0
+    if not (np.isfinite(response.noise).all() and response.noise.any()):
+        return response.budget.weather
     shares = item.shares(response.noise, response.exponent)
     return float(np.std(shares, ddof=1) * len(shares) ** 0.5) * student_factor(len(shares))
 

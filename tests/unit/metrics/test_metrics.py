@@ -2,11 +2,15 @@
 
 import pytest
 
+from surveysim import run
 from surveysim.metrics.registry import METRICS, metric_functions
 from surveysim.reduction.setup import prepare
+from surveysim.report.terminal.survey import stop_lines
 from surveysim.results.metrics import forecast_metrics
 from surveysim.results.results import survey_result
-from surveysim.runtime.errors import InsufficientDataError, SceneError
+from surveysim.results.stopping import FEWEST, parsed_limits
+from surveysim.runtime.engine import SERIAL
+from surveysim.runtime.errors import InputError, InsufficientDataError, SceneError
 from surveysim.scene.metrics import METRIC_SECTIONS, SIGMA_KEY, FlatBandPower, metric_keys
 from surveysim.scene.scene import load_scene
 from surveysim.survey.run import run_observations
@@ -123,3 +127,21 @@ def test_errors_name_key_and_choices(tmp_path, entry, message):
     with pytest.raises(SceneError) as error:
         load_scene(path)
     assert message in str(error.value)
+
+
+def test_a_target_error_may_be_of_any_metric(tmp_path):
+    """A run ends at the first boundary where this metric is known, which may not be that of sigma(A)."""
+    scene = load_scene(write_scene(tmp_path, SMALL_SCENE + METRICS_TEXT), {"observations": 40, "score.jackknives": 64})
+    key = "largest_scale.ell"
+    found = run(scene, engine=SERIAL, target_error=0.05, target_metric=key)
+    assert found.stopped == "target" and found.coadds.done == FEWEST
+    assert found.relative_error == found.metrics["actual"][key].error / found.metrics["actual"][key].value <= 0.05
+    assert found.estimate.relative_error > 0.05
+    assert stop_lines(found)[0].endswith(f"{key} is known to {100 * found.relative_error:.1f} %")
+
+
+def test_the_target_metric_is_one_of_the_scene(result):
+    with pytest.raises(SceneError, match="target metric: found 'cluster.depth_y0'; one of flat_band_power.sigma, band"):
+        run(result.setup.scene, target_error=0.1, target_metric="cluster.depth_y0")
+    with pytest.raises(InputError, match="--target-metric: found no --target-error"):
+        parsed_limits(None, None, SIGMA_KEY)

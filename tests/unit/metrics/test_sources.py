@@ -105,6 +105,18 @@ def test_noise_and_transfer_function_scale_the_depths(setup, white):
         assert after[key] == pytest.approx(factor * before[key], rel=1e-12)
 
 
+def test_bins_without_noise_or_signal_do_not_count(setup, white):
+    """Below the scored multipoles a forecast may have no noise, and far above the beam no signal."""
+    whole, functions = found(setup, white), metric_functions(setup.scene.score)
+    first, last = np.arange(len(white.map.ell)) < 1, white.map.ell > 30000
+    for odd in (-0.3, 0.0, np.nan):
+        passed = np.where(last, odd, 1.0)
+        item = replace(white, noise_psd=np.where(first, 0.0, white.noise_psd), transmission=passed)
+        scored, every = (functions[name](item)[1].value for name in ("scored", "point_source"))
+        assert scored == pytest.approx(whole["scored.depth_mk"], rel=1e-5)
+        assert every > whole["point_source.depth_mk"]
+
+
 def test_responses_are_those_of_finite_differences(setup, white):
     """The closed forms of d ln value / d ln N, in noise that changes with multipole."""
     noise = white.scaled(noise=1 + 1e4 / np.maximum(white.map.ell, 1000), transmission=1 - np.exp(-white.map.ell / 9e3))
@@ -133,7 +145,7 @@ def test_notes_tell_of_confusion_and_of_the_beam_that_the_score_leaves_out(tmp_p
 
 
 def test_effect_of_clusters_over_bands():
-    """Null at 217.5 GHz for 2.7255 K (Carlstrom et al. 2002, section 2), -2 y T in temperature at low frequencies."""
+    """Null at x = 3.83, 217.5 GHz for 2.7255 K; -2 y T at low frequencies."""
     assert top_hat(1e9, 0.0).sz_k_cmb == pytest.approx(-2 * 2.7255, rel=1e-4)
     assert top_hat(217.5e9, 0.0).sz_k_cmb == pytest.approx(0, abs=0.01)
     assert top_hat(214e9, 0.0).sz_k_cmb < 0 < top_hat(221e9, 0.0).sz_k_cmb

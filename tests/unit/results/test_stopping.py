@@ -15,7 +15,6 @@ from surveysim.report.terminal.survey import cost_lines, stop_lines, survey_line
 from surveysim.results.stopping import (
     FEWEST,
     UNLIMITED,
-    Estimate,
     StoppingCriteria,
     is_boundary,
     parsed_limits,
@@ -112,7 +111,7 @@ def test_boundaries_are_even_and_no_further_apart_than_an_eighth():
 
 
 def test_which_reason_came_first(scene):
-    good, bad = (Estimate("plain", 100.0, error, 100.0, error) for error in (2.0, 9.0))
+    good, bad = 0.02, 0.09
     setup = prepare(load_scene(scene))
     both = StoppingCriteria(0.03, 1.0)
     assert stop_reason(setup, both, 32, good) == "target" and stop_reason(setup, both, 32, bad) == "budget"
