@@ -53,8 +53,10 @@ def depth(noise: MapNoise, power: np.ndarray, options: PointSourceDepth | Cluste
     region = noise.map
     lowest = region.edges_ell[:-1][region.selected][0] if options.ell_min is None else options.ell_min
     highest = region.edges_ell[1:][region.selected][-1]
-    mask = (region.edges_ell[:-1] >= lowest) & (region.edges_ell[1:] <= highest)
-    information = filter_information(noise.noise_psd, power, noise.transmission, mask)
+    mask = (region.edges_ell[:-1] >= lowest) & (region.edges_ell[1:] <= highest) & (noise.noise_psd > 0)
+    # Far above the beam a forecast's transfer function is a ratio of rounding errors, of either sign.
+    passed = np.where(noise.transmission > 0, noise.transmission, 0.0)
+    information = filter_information(noise.noise_psd, power, passed, mask)
     total = float(information.sum())
     return total**-0.5, information / (2 * total)
 

@@ -105,6 +105,18 @@ def test_noise_and_transfer_function_scale_the_depths(setup, white):
         assert after[key] == pytest.approx(factor * before[key], rel=1e-12)
 
 
+def test_bins_without_noise_or_signal_do_not_count(setup, white):
+    """Below the scored multipoles a forecast may have no noise, and far above the beam no signal."""
+    whole, functions = found(setup, white), metric_functions(setup.scene.score)
+    first, last = np.arange(len(white.map.ell)) < 1, white.map.ell > 30000
+    for odd in (-0.3, 0.0, np.nan):
+        passed = np.where(last, odd, 1.0)
+        item = replace(white, noise_psd=np.where(first, 0.0, white.noise_psd), transmission=passed)
+        scored, every = (functions[name](item)[1].value for name in ("scored", "point_source"))
+        assert scored == pytest.approx(whole["scored.depth_mk"], rel=1e-5)
+        assert every > whole["point_source.depth_mk"]
+
+
 def test_responses_are_those_of_finite_differences(setup, white):
     """The closed forms of d ln value / d ln N, in noise that changes with multipole."""
     noise = white.scaled(noise=1 + 1e4 / np.maximum(white.map.ell, 1000), transmission=1 - np.exp(-white.map.ell / 9e3))

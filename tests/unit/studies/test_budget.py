@@ -138,6 +138,14 @@ def test_sections_of_the_response_are_stages(small):
     found = stages_of(load_scene(small, {"crosstalk.neighbour_fraction": 0.01, "time_constants.value": "20 ms"}))
     assert found.stages["crosstalk"].removal == {"crosstalk": None}
     assert found.stages["time_constants"].title == "Time constants"
+    # Without the filter, but with the draws of photon and detector noise apart.
+    removal = found.removal(["time_constants"])
+    assert removal == {
+        "time_constants.value": "0 s",
+        "time_constants.scatter": 0.0,
+        "time_constants.deconvolution_error": None,
+    }
+    assert load_scene(small, removal).time_constants.value_s == 0
     assert found.required("crosstalk") == {"cleaning"}
 
 
