@@ -15,11 +15,15 @@ import mapmaker as mm
 from mapmaker.binning import weighted_mean
 from mapmaker.geometry import plane_directions
 from mapmaker.matched_filter import MatchedFilter
+from surveysim.metrics.map_noise import noise_of_score
+from surveysim.metrics.point_source import quantities
 from surveysim.reduction.setup import Setup, prepare
+from surveysim.scene.metrics import PointSourceDepth
 from surveysim.scene.noise_and_sky import Sky
 from surveysim.scene.scene import Scene, load_scene
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.run import run_observations
+from surveysim.survey.scores import score_survey
 
 HERE = Path(__file__).parent
 SCENE, PAGE = HERE.parent / "scenarios" / "first_light.toml", HERE / "validation" / "sources.md"
@@ -170,6 +174,15 @@ class Calibration:
     blank: list[Survey]
 
     @property
+    def metric(self) -> float:
+        """Mean depth [mK] of the metric `point_source` of the blank surveys."""
+        options, depths = PointSourceDepth(kind="point_source"), []
+        for one in self.blank:
+            _, noise = noise_of_score(one.setup, score_survey(one.setup, one.coadds)["actual"])
+            depths.append(next(item.value for item in quantities(noise, options) if item.name == "depth_mk"))
+        return float(np.mean(depths))
+
+    @property
     def chi2(self) -> float:
         """Mean square of amplitudes over stated scatter in the blank maps, where sources are drawn."""
         found = [mm.filtered_map(self.filters["amplitude"], item.image, item.weight) for item in self.blank]
@@ -228,6 +241,7 @@ def row(cleaning: str) -> str:
     amplitude = found["amplitude"]
     cells = [
         f"`{cleaning}`",
+        f"{1e3 * known.metric:.0f}",
         *(f"{1e3 * known.filters[name].sigma:.0f}" for name in ("power", "amplitude")),
         f"{100 * found['all'].bias:+.1f}",
         *(f"{100 * found[name].bias:+.2f}" for name in ("power", "amplitude")),
@@ -240,8 +254,9 @@ def row(cleaning: str) -> str:
 
 def table() -> str:
     """Markdown: depths, biases and chi^2 of each cleaning."""
-    head = "| cleaning | depth [uK], sqrt(T) | depth [uK], a | bias [%], without | bias [%], sqrt(T) | bias [%], a "
-    head += "| error [%] | chi^2 | chi^2, blank |\n|---|---:|---:|---:|---:|---:|---:|---:|---:|\n"
+    titles = "cleaning", "metric [uK]", "depth [uK], sqrt(T)", "depth [uK], a", "bias [%], without"
+    titles += "bias [%], sqrt(T)", "bias [%], a", "error [%]", "chi^2", "chi^2, blank"
+    head = f"| {' | '.join(titles)} |\n|---|{'---:|' * (len(titles) - 1)}\n"
     return head + "".join(map(row, CLEANINGS))
 
 

@@ -20,6 +20,8 @@ def test_fluxes_are_unbiased_and_scatter_as_stated():
     assert len(amplitude.amplitude) == 20 * SOURCES
     assert abs(amplitude.bias) < 3 * amplitude.bias_error < 0.04
     assert amplitude.chi2 == pytest.approx(1, abs=3 * 0.13)
+    # Of eight surveys, each known to 2 %, and 3 % for the mean noise in place of the noise at the mean weight.
+    assert known.metric == pytest.approx(items["power"].sigma, rel=0.03 + 3 * 0.02 / 8**0.5)
     # In blank maps, each with some hundred beams.
     assert known.chi2 == pytest.approx(1, abs=0.1)
     assert found["all"].bias < -0.6

@@ -160,6 +160,12 @@ def _discarded(found: Forecast | None) -> dict[str, float]:
     return {name: item.discarded for name, item in kept.items() if np.isfinite(item.error)}
 
 
+def _kept_error(found: Forecast | None) -> float:
+    """Relative error of the predicted scans of the actual data; 0 where it is unknown."""
+    kept = found.scores[ACTUAL].kept if found else None
+    return kept.error / (1 - kept.discarded) if kept and np.isfinite(kept.error) else 0.0
+
+
 def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[PointResult, ...]:
     """Forecast all points, one after the other, or give the reason for no forecast."""
     results = []
@@ -173,7 +179,8 @@ def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[Poin
         sigma = {name: float(item.band.sigma_ukcmb2) for name, item in found.scores.items()} if found else {}
         told = forecast_flags(found), _discarded(found)
         wall_s = perf_counter() - start
-        results.append(PointResult(point.n_det, 0, {}, sigma, [], *told, [], "", reason, wall_s, {}, metrics))
+        kept = _kept_error(found)
+        results.append(PointResult(point.n_det, 0, {}, sigma, [], *told, [], "", reason, wall_s, {}, metrics, kept))
         progress(len(results))
     return tuple(results)
 

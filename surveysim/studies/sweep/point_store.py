@@ -35,7 +35,12 @@ from surveysim.studies.sweep.point_metrics import (
 from surveysim.survey.checkpoint import REASON, CheckpointError, check_origin, read_meta
 from surveysim.survey.scores import Control, DataSetScore
 
-_APART = ("scores", "metrics", "metric_forecasts")  # fields that the JSON part has elsewhere, or not at all
+_APART = (
+    "scores",
+    "metrics",
+    "metric_forecasts",
+    "kept_error",
+)  # fields that the JSON part has elsewhere, or not at all
 _OF_BAND, _OF_TRANSFER = ("weight", "ell", "cumulative"), ("ell", "transmission", "deviations")
 _OF_CONTROL = ("factor", "weights", "noise")
 _OF_SET = ("noise_psds", "signal_psd", "weights", "bin_noise", "kept")
@@ -81,6 +86,8 @@ class PointResult:
         Quantities of all metrics of a run, by data set and key.
     metric_forecasts
         Quantities of all metrics of a forecast, by data set and key.
+    kept_error
+        Relative error of the scans of the actual data that a forecast expects to be kept; 0 where it is unknown.
     """
 
     n_det: int
@@ -96,6 +103,7 @@ class PointResult:
     wall_s: float
     metrics: MetricResults
     metric_forecasts: dict[str, dict[str, Quantity]]
+    kept_error: float = 0.0
 
 
 def point_file(number: int, observations: int, of_survey: int) -> str:
