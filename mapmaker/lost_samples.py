@@ -9,12 +9,13 @@ from mapmaker.validation import bounds_of_scans, flags, reals
 
 
 def fill_flagged(data_mk: np.ndarray, scan_bounds: np.ndarray, flagged: np.ndarray) -> np.ndarray:
-    """Fill the flagged samples of each scan: with the common signal, and a line through the ends of the gap.
+    """Fill the flagged samples of each scan: with the common signal, and a line across the gap.
 
     The common signal changes from each time to the next by the mean change of the detectors that have both samples. It
-    is interpolated over times without any. Beyond the first or last sample of a detector the line is constant. A
-    detector without any sample in a scan gets the common signal; a scan without any sample is NaN, so that cleaning
-    discards it. The filled values are linear in the others.
+    is interpolated over times without any. The line is through the means of as many samples on both sides as the gap
+    has, or fewer up to the next gap; at the ends of a scan it is constant. A detector without any sample in a scan gets
+    the common signal; a scan without any sample is NaN, so that cleaning discards it. The filled values are linear in
+    the others.
 
     Parameters
     ----------

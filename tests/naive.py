@@ -495,7 +495,7 @@ def crosstalk_matrix(n_det, groups, neighbour, group):
 
 
 def fill_flagged(data, scan_bounds, flagged):
-    """Gaps of each scan: the common signal, from mean changes, and a line from end to end of the gap."""
+    """Gaps of each scan: the common signal, from mean changes, and a line through the means on both sides."""
     filled = np.array(data, float)
     for start, stop in scan_bounds:
         scan, lost = np.array(data[:, start:stop], float), flagged[:, start:stop]
@@ -510,12 +510,38 @@ def fill_flagged(data, scan_bounds, flagged):
             at.append(at[-1] + np.mean(changes or [0.0]))
         common = np.interp(times, seen, at)
         for d in rows:
-            own = [n for n in times if not lost[d, n]]
-            line = np.interp(times, own, [scan[d, n] - common[n] for n in own]) if own else np.zeros(len(times))
-            for n in times:
-                if lost[d, n]:
-                    filled[d, start + n] = common[n] + line[n]
+            for gap in runs(lost[d]):
+                sides = [side for side in neighbours(lost[d], gap) if side]
+                means = [np.mean([scan[d, n] - common[n] for n in side]) for side in sides] or [0.0]
+                places = [np.mean(side) for side in sides]
+                slope = (means[1] - means[0]) / (places[1] - places[0]) if len(sides) == 2 else 0.0
+                for n in gap:
+                    line = means[0] + (slope * (n - places[0]) if sides else 0.0)
+                    filled[d, start + n] = common[n] + line
     return filled
+
+
+def runs(lost):
+    """Runs of lost samples, each as the list of its samples."""
+    found = []
+    for n in np.flatnonzero(lost):
+        if found and found[-1][-1] == n - 1:
+            found[-1].append(n)
+        else:
+            found.append([n])
+    return found
+
+
+def neighbours(lost, gap):
+    """Samples before and after a gap: as many as it has, up to the next gap or the end."""
+    sides = []
+    for step, n in ((-1, gap[0] - 1), (1, gap[-1] + 1)):
+        side = []
+        while 0 <= n < len(lost) and not lost[n] and len(side) < len(gap):
+            side.append(n)
+            n += step
+        sides.append(side)
+    return sides
 
 
 def add_pulses(data, per_scan, detector, scan, start, amplitude, decay):

@@ -47,21 +47,36 @@ def _common(data, lost, start, stop):
 
 
 @njit(cache=True, nogil=True)
+def _side(row, gone, common, first, step, most):
+    """Mean over up to `most` samples from `first` on, until the next gap, less the common signal; their mean place."""
+    total, place, count, n = 0.0, 0.0, 0, first
+    while 0 <= n < row.size and not gone[n] and count < most:
+        total += row[n] - common[n]
+        place += n
+        count += 1
+        n += step
+    return (total / count, place / count) if count else (0.0, -1.0)
+
+
+@njit(cache=True, nogil=True)
 def _fill(row, gone, common):
     """Fill the gaps of one detector in one scan."""
-    first, n = 0, row.size
-    while first < n:
+    first = 0
+    while first < row.size:
         if not gone[first]:
             first += 1
             continue
         end = first
-        while end < n and gone[end]:
+        while end < row.size and gone[end]:
             end += 1
-        left = row[first - 1] - common[first - 1] if first > 0 else 0.0
-        right = row[end] - common[end] if end < n else left
-        left = left if first > 0 else right
+        left, before = _side(row, gone, common, first - 1, -1, end - first)
+        right, after = _side(row, gone, common, end, 1, end - first)
+        if before < 0.0:
+            left, before = right, after - 1.0
+        if after < 0.0:
+            right, after = left, before + 1.0
         for k in range(first, end):
-            row[k] = common[k] + left + (right - left) * (k - first + 1) / (end - first + 1)
+            row[k] = common[k] + left + (right - left) * (k - before) / (after - before)
         first = end
 
 

@@ -1,6 +1,7 @@
 """The Python interface of the search for the best design."""
 
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -19,8 +20,11 @@ from surveysim.studies.optimise.optimum import Found, search_optimum
 from surveysim.studies.optimise.problem import Problem, load_problem
 from surveysim.studies.optimise.result import OptimiseResult, designs_sweep
 from surveysim.studies.optimise.store import FILE, EvaluationStore
+from surveysim.studies.sweep.axes import Sweep
 from surveysim.studies.sweep.comparison import compare_runs, of_one_kind, run_points
 from surveysim.studies.sweep.result import SweepResult
+
+Display = Callable[[Sweep], AbstractContextManager[Callable[[int], None]]]
 
 
 def optimise(
@@ -34,7 +38,7 @@ def optimise(
     resume: bool = False,
     figures: bool = True,
     progress: Callable[[EvaluationStore], None] = lambda store: None,
-    point_progress: Callable[[int], None] = lambda done: None,
+    display: Display = lambda sweep: nullcontext(lambda done: None),
     force: bool = False,
 ) -> OptimiseResult:
     """Search for the best design of a scene by forecast, then simulate it and its rivals.
@@ -59,8 +63,8 @@ def optimise(
         Draw the figures of the report.
     progress
         Called with the evaluations so far after each of them.
-    point_progress
-        Called with the number of simulated designs.
+    display
+        Makes the function that is called with the number of simulated designs, for the time of their simulation.
     force
         As for `run`.
 
@@ -89,7 +93,7 @@ def optimise(
             store.begin()
         found = search_optimum(store, importance)
         points = None if place is None else place / "points"
-        simulated = _simulated(problem, found, points, engine, resume, point_progress) if simulate else None
+        simulated = _simulated(problem, found, points, engine, resume, display) if simulate else None
         workers = engine.workers_for(len(found.designs))
         return OptimiseResult(problem, found, simulated, perf_counter() - start, workers, engine.kind)
 
@@ -111,11 +115,12 @@ def _simulated(
     points: Path | None,
     engine: Engine,
     resume: bool,
-    progress: Callable[[int], None],
+    display: Display,
 ) -> SweepResult:
     """Run the designs of a search and compare them."""
     start, sweep = perf_counter(), designs_sweep(problem, found)
-    results = of_one_kind(run_points(sweep, points, engine, resume, progress))
+    with display(sweep) as progress:
+        results = of_one_kind(run_points(sweep, points, engine, resume, progress))
     with threadpool_limits(1):  # the same bits on any machine
         comparison = compare_runs(results, np.random.default_rng(DRAWS_SEED), sweep.reference, sweep.metric)
     workers = engine.workers_for(len(sweep.points))

@@ -136,6 +136,8 @@ def forecast_single_sweep(
         return result_of()
     with claimed(Path(out), of_sweep(sweep, "forecast", figures), force) as place:
         result = result_of()
+        if force:
+            remove_nested(place.path)
         with replacing(place) as new:
             write_sweep(new, prepare(sweep.points[0].scene), result, figures)
     return result

@@ -11,7 +11,7 @@ from surveysim.cli.options import Force, NoFigures, Quiet
 def compare(
     directories: Annotated[
         list[Path],
-        typer.Argument(metavar="DIR DIR ...", help="Two or more directories of runs, or of points of a sweep."),
+        typer.Argument(metavar="DIR DIR ...", help="Two or more runs, or points of a sweep."),
     ],
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Directory for table, figures and report; by default none.")

@@ -1,7 +1,7 @@
 """Command: optimise."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated
@@ -17,6 +17,7 @@ from surveysim.runtime.printable import complain
 if TYPE_CHECKING:
     from surveysim.studies.optimise.problem import Problem
     from surveysim.studies.optimise.store import EvaluationStore
+    from surveysim.studies.sweep.axes import Sweep
 
 EVERY_S = 10.0  # between two lines of progress
 MOST_IMPORTANCE = 4096
@@ -54,17 +55,17 @@ def optimise(
     if resume and not quiet:
         report_new_start(directory, "designs", " design")
     from surveysim.api import optimise as optimise_scene
-    from surveysim.cli.progress import announce_compilation, equal_work, sweep_display
+    from surveysim.cli.progress import announce_compilation, sweep_display
     from surveysim.report.terminal.optimum import print_optimum
 
     if not quiet and with_engine.scheduler is None:
         announce_compilation(problem.scene.name)
-    name, designs = problem.scene.name, equal_work(problem.options.rivals + 2)
-    with (
-        report_resumable_exit(scene, directory),
-        _search_display(problem, quiet) as progress,
-        sweep_display(name, designs, quiet or forecast, with_engine.workers_for(len(designs))) as point_progress,
-    ):
+
+    def display(sweep: "Sweep") -> AbstractContextManager[Callable[[int], None]]:
+        work = [point.detector_samples for point in sweep.points]
+        return sweep_display(sweep.name, work, quiet, with_engine.workers_for(len(work)))
+
+    with report_resumable_exit(scene, directory), _search_display(problem, quiet) as progress:
         result = optimise_scene(
             problem,
             directory,
@@ -74,7 +75,7 @@ def optimise(
             resume=resume,
             figures=not no_figures,
             progress=stopping(progress),
-            point_progress=point_progress,
+            display=display,
             force=force,
         )
     if not quiet:

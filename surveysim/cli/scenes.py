@@ -355,14 +355,15 @@ def report(
 ) -> None:
     """Write report.html of an output directory again.
 
-    The pages of the bands of a camera are written again too.
+    The pages of the bands of a camera, and of the points of a sweep, are written again too.
     """
     from surveysim.output.directory import renewed
     from surveysim.report.html.page import REPORT, NoResultsError, write_report
 
-    bands = sorted(path.parent for path in directory.glob("bands/*/summary.json"))
+    patterns = ("bands/*", "points/*", "bands/*/points/*")
+    nested = sorted(path.parent for each in patterns for path in directory.glob(f"{each}/summary.json"))
     try:
-        for each in (*bands, directory):
+        for each in (*nested, directory):
             with renewed(each, REPORT, force):
                 say(write_report(each))
     except NoResultsError as error:

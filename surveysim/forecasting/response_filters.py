@@ -11,7 +11,7 @@ from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.setup import Setup
 from surveysim.telescope.scans import duration_s
 from surveysim.timestreams.responsivity import load_losses
-from surveysim.timestreams.time_constants import derivative_response
+from surveysim.timestreams.time_constants import derivative_response, pole_response
 
 # Steps of the response that forecasts have in closed form; a scene with another one can't be forecast.
 CLOSED_STEPS = ("pointing_errors", "responsivity", "responsivity_drift", "time_constants", "crosstalk", "deconvolution")
@@ -46,8 +46,9 @@ class StreamFilters:
 
     def _response(self, frequency_hz: np.ndarray, rows: slice, origin: Origin) -> np.ndarray:
         lead = self.deconvolved_s[rows, None] * derivative_response(frequency_hz, self.sample_rate_hz)
-        lag = self.time_constant_s[rows, None] * (2 * np.pi * frequency_hz)
-        return (1 + 1j * lead) / (1 + 1j * lag) if origin == "light" else 1 + 1j * lead
+        if origin == "output":
+            return 1 + 1j * lead
+        return (1 + 1j * lead) * pole_response(self.time_constant_s[rows], frequency_hz, self.sample_rate_hz)
 
 
 def stream_filters(setup: Setup, pipeline: CleaningPipeline) -> StreamFilters | None:

@@ -7,7 +7,7 @@ from surveysim.output.directory import begin, claimed, replacing
 from surveysim.output.expected_files import of_point, point_directory
 from surveysim.output.writer import write_outputs
 from surveysim.results.results import SurveyResult
-from surveysim.studies.sweep.axes import Sweep
+from surveysim.studies.sweep.axes import Point, Sweep
 
 
 @dataclass(frozen=True)
@@ -21,13 +21,13 @@ class PointWriter:
     keep_all: bool
     force: bool
 
-    def __call__(self, number: int, result: SurveyResult) -> None:
+    def __call__(self, point: Point, result: SurveyResult) -> None:
         """Write the results of a run; errors as `claimed`."""
         results = of_point(result.setup, self.keep_all)
-        with claimed(self.directory / point_directory(number), results, self.force) as place:
+        with claimed(self.directory / point_directory(point.number), results, self.force) as place:
             begin(place, removed=lambda name: False)
             with replacing(place) as new:
-                write_outputs(new, result, self.keep_all, maps=self.keep_all)
+                write_outputs(new, result, self.keep_all, maps=self.keep_all, point=point.label)
 
 
 def check_points(writer: PointWriter, sweep: Sweep) -> None:

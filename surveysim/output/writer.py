@@ -58,13 +58,19 @@ log = logging.getLogger("surveysim")
 
 
 def write_outputs(
-    directory: Path, result: SurveyResult, figures: bool, timestreams: Sequence[str] = (), *, maps: bool = True
+    directory: Path,
+    result: SurveyResult,
+    figures: bool,
+    timestreams: Sequence[str] = (),
+    *,
+    maps: bool = True,
+    point: str = "",
 ) -> None:
     """Write all results of a run below `directory`; summary.json lists its files, report.html is made of them all.
 
-    `timestreams` are names of those that workers have written.
+    `timestreams` are names of those that workers have written, `point` is the label of a point of a sweep.
     """
-    content = summary(result)
+    content = summary(result) | ({"point": point} if point else {})
     written = [write_text(directory / "scene.json", resolved(result.setup.scene) + "\n")]
     tables = run_tables(result, content)
     written += [_write_table(directory / "tables" / f"{name}.ecsv", table) for name, table in tables.items()]

@@ -25,7 +25,7 @@ from surveysim.reduction.noise_only_sets import add_simulated
 from surveysim.reduction.observation_result import ObservationResult
 from surveysim.reduction.setup import Setup
 from surveysim.reduction.signal_maps import add_signal_maps, empty_signal_maps, scored_signal_maps
-from surveysim.reduction.stream_psds import cleaned_psd, mean_psd, psd_scale, sampled_scans
+from surveysim.reduction.stream_psds import cleaned_power, cleaned_psd, mean_psd, psd_scale, sampled_scans
 from surveysim.runtime.once import keep_last
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.observation import Stopwatch
@@ -197,7 +197,7 @@ def _add_spectra(sums: _Sums, part: CleanedBlock) -> None:
     streams, seen = part.streams, ~part.streams.lost_scans
     scale, rows = psd_scale(part.setup.observing.scans, part.setup.stream_type), part.pipelines[0].rows
     actual, *others = part.cleaned[: len(part.setup.analysis.whole_pipelines)]
-    sums.power[rows] += hann_power(actual.data_mk, part.block.n_scans, actual.kept)
+    sums.power[rows] += cleaned_power(streams, rows, actual)
     sums.sampled[rows] += sampled_scans(streams, rows, actual.kept)
     raw = hann_power(part.data_mk[rows], part.block.n_scans, seen)
     sums.raw.append((int(seen.sum()), (raw / max(1, seen.sum()) * scale).mean(axis=0)))

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from mapmaker.cleaning import Cleaned
+from mapmaker.lost_samples import fill_flagged
 from mapmaker.stream_psd import hann_power, hann_scale
 from surveysim.telescope.scans import Scans, samples_per_scan
 from surveysim.timestreams.observation import DrawnBlock
@@ -13,6 +14,17 @@ from surveysim.timestreams.observation import DrawnBlock
 def psd_scale(scans: Scans, dtype: np.dtype) -> float:
     """Factor from the mean `hann_power` of scans to their PSD."""
     return hann_scale(samples_per_scan(scans), scans.sample_rate_hz, dtype)
+
+
+def cleaned_power(streams: DrawnBlock, rows: np.ndarray | slice, item: Cleaned) -> np.ndarray:
+    """Sum over kept scans of the power (n_det, n_freq) of cleaned streams, with their own gaps filled anew.
+
+    What fills a gap before cleaning does not follow the layer as the stream would, and maps leave it out.
+    """
+    data = item.data_mk
+    if streams.flags is not None:
+        data = fill_flagged(data, streams.scan_bounds, streams.flags[rows])
+    return hann_power(data, len(item.kept), item.kept)
 
 
 def sampled_scans(streams: DrawnBlock, rows: np.ndarray | slice, kept: np.ndarray) -> np.ndarray:
@@ -26,7 +38,7 @@ def sampled_scans(streams: DrawnBlock, rows: np.ndarray | slice, kept: np.ndarra
 
 def cleaned_psd(streams: DrawnBlock, rows: np.ndarray | slice, item: Cleaned, scale: float) -> tuple[int, np.ndarray]:
     """Number of kept scans of a block, and their mean PSD (n_freq,) over the detectors of a pipeline [mK^2/Hz]."""
-    power = hann_power(item.data_mk, len(item.kept), item.kept)
+    power = cleaned_power(streams, rows, item)
     n_sampled = np.maximum(1, sampled_scans(streams, rows, item.kept))
     return int(item.kept.sum()), (power / n_sampled[:, None] * scale).mean(axis=0)
 

@@ -56,7 +56,7 @@ def left_out(setup: Setup) -> dict[str, str]:
     """Return every stage that a run of the scene leaves out with its reason."""
     scene = setup.scene
     reasons = {name: f"no section [{name}]{OPTIONAL[name]}" for name in absent_sections(scene)}
-    switched = (item for item in COMPONENTS if getattr(scene, item.name) is not None and not item.is_present(scene))
+    switched = (item for item in COMPONENTS if getattr(scene, item.name) and not item.is_present(scene))
     reasons |= {item.name: f"{item.name}.{item.switch} is 'none'" for item in switched}
     if scene.fixed_pointing:
         reasons["ephemerides"] = "a fixed elevation needs none"

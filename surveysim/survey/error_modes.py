@@ -88,6 +88,8 @@ def _noise_row(item: DataSetScore, response: Response) -> np.ndarray:
 
 
 def _weather_row(item: DataSetScore, response: Response) -> np.ndarray:
+    if not np.isfinite(response.noise).all():
+        return np.full(len(item.weights), np.nan)
     if not response.noise.any():  # a quantity of the transfer function alone
         return np.zeros(len(item.weights))
     how = response.noise, response.exponent

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from surveysim.runtime.rng import generator
 from surveysim.scene.readout import DroppedSamples
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.observed_block import ObservedBlock
@@ -34,11 +35,15 @@ def flag_dropped_samples(lost: np.ndarray, of: ObservedBlock) -> None:
 
 
 def flag_dead_time(lost: np.ndarray, of: ObservedBlock) -> None:
-    """Flag the dead detectors and the lost scans of an observation in one of its blocks, in place."""
+    """Flag the dead detectors and the lost scans of an observation in one of its blocks, in place.
+
+    Bands of a camera lose the same scans.
+    """
     section, n_samp = of.setup.scene.dead_time, samples_per_scan(of.setup.observing.scans)
-    rng = of.observation_generator("dead_time")
-    lost[_some(section.detectors, of.setup.camera.n_det, rng)] = True
-    gone = _some(section.scans, of.setup.observing.scans.n_scans, rng)
+    of_detectors = generator(of.setup.scene.seed, "dead_time.detectors", of.observation, band=of.setup.scene.band_name)
+    of_scans = generator(of.setup.scene.seed, "dead_time.scans", of.observation)
+    lost[_some(section.detectors, of.setup.camera.n_det, of_detectors)] = True
+    gone = _some(section.scans, of.setup.observing.scans.n_scans, of_scans)
     lost[:, np.repeat(gone[of.block.first : of.block.end], n_samp)] = True
 
 

@@ -53,10 +53,6 @@ class ObservedBlock:
         """Create the random generator of one purpose in this block, and in this band of the camera."""
         return generator(self.setup.scene.seed, purpose, self.observation, realization=realization, **self._place)
 
-    def observation_generator(self, purpose: RandomPurpose | str) -> np.random.Generator:
-        """Create the random generator of one purpose in the observation, which all its blocks have in common."""
-        return generator(self.setup.scene.seed, purpose, self.observation, band=self.setup.scene.band_name)
-
     def deviates(self, purpose: RandomPurpose | str, realization: int = 0) -> NormalDeviates:
         """Create the normal deviates of one purpose in this block, and in this band of the camera."""
         return normal_deviates(self.setup.scene.seed, purpose, self.observation, realization=realization, **self._place)

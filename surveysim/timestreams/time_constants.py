@@ -74,6 +74,14 @@ def pole_coefficients(time_constant_s: np.ndarray, sample_rate_hz: float) -> tup
     return decay, _moments(samples, decay) @ _LAGRANGE.T
 
 
+def pole_response(time_constant_s: np.ndarray, frequency_hz: np.ndarray, sample_rate_hz: float) -> np.ndarray:
+    """Complex response (n_det, n_f) of `low_pass` to waves: that of a pole, but near half of the sample rate."""
+    decay, taps = pole_coefficients(time_constant_s, sample_rate_hz)
+    wave = np.exp(2j * np.pi * frequency_hz / sample_rate_hz)
+    passed: np.ndarray = taps @ wave ** np.arange(-2, 2)[:, None] / (1 - decay[:, None] / wave)
+    return passed
+
+
 def _moments(samples: np.ndarray, decay: np.ndarray) -> np.ndarray:
     """Moments (n_det, 4) of order 0 to 3 of the impulse response over the last sampling interval.
 

@@ -48,7 +48,7 @@ def measure(rings: int, wafers: int, rate_hz: float, scans: int) -> dict[str, fl
 
     from surveysim.reduction.observation import observe
     from surveysim.reduction.setup import prepare
-    from surveysim.runtime.memory import peak_bytes
+    from surveysim.runtime.memory import keep_freed_memory, peak_bytes
     from surveysim.scene.scene import load_scene
     from surveysim.telescope.scans import samples_per_scan
     from surveysim.timestreams.scan_blocks import Block
@@ -57,6 +57,7 @@ def measure(rings: int, wafers: int, rate_hz: float, scans: int) -> dict[str, fl
     settings |= several_wafers(rings, wafers) if wafers > 1 else {"instrument.layout.rings": rings}
     # The map and its patch stay as large as those of the whole raster.
     settings |= {"scan.step": f"{300 / scans} arcmin", "observations": 1}
+    keep_freed_memory()  # as a run does
     with threadpool_limits(1):
         setup = prepare(load_scene(SCENE, settings))
         observe(replace(setup, observing=replace(setup.observing, blocks=(Block(0, 0, 1),))), 0, True)

@@ -75,7 +75,7 @@ observations = [4, 1]
 
 [sweep.weather]
 "atmosphere.b2" = ["{TURBULENT}", "{TURBULENT}", "{CALM}"]
-"scan.scans" = [4, 5, 2]
+"scan.scans" = [4, 5, 3]
 """
 
 
@@ -108,10 +108,11 @@ at_most = "10000 uK2"
 def made(tmp_path_factory):
     """Folders with what each command writes, by the headings of the page."""
     folder = tmp_path_factory.mktemp("files")
+    sweep = _sweep(folder)
     return {
-        "A run": [_rich_run(folder), _unscored_run(folder)],
+        "A run": [_rich_run(folder), _unscored_run(folder), folder / "points" / "0"],
         "A camera of several bands": [_bands(folder)],
-        "A sweep": [_sweep(folder)],
+        "A sweep": [sweep],
         "A budget": [*_budget(folder)],
         "A comparison": [_comparison(folder)],
         "A search": [

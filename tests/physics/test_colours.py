@@ -66,6 +66,21 @@ def test_other_bands_are_drawn_as_in_their_own_runs():
         np.testing.assert_array_equal(streams, draw_observation(prepare(scenes[name]), 1).data_mk)
 
 
+def test_bands_lose_the_same_scans_and_other_bands_have_no_gaps():
+    """Other detectors; wild samples of glitches are filled before a band is subtracted."""
+    losses = {"dead_time.scans": 0.3, "dead_time.detectors": 0.3, "glitches.rate": "1000 / h", "glitches.found": 1}
+    losses |= {"glitches.amplitude": "1e6 mK", "glitches.decay_time": "0 s", "observations": 2}
+    scenes = load_bands(SUZIE, losses).bands
+    setup, n_scans = prepare(scenes["143"]), prepare(scenes["143"]).observing.scans.n_scans
+    flags = [draw_observation(prepare(scene), 1).flags for scene in scenes.values()]
+    lost = [item.reshape(len(item), n_scans, -1).all(axis=(0, 2)) for item in flags]
+    assert 0 < lost[0].sum() < n_scans and not all((item == flags[0]).all() for item in flags)
+    np.testing.assert_array_equal(lost[1:], lost[:-1])
+    for streams in other_bands(setup, 1):
+        scans = streams.reshape(len(streams), n_scans, -1)
+        assert np.isnan(scans[:, lost[0]]).all() and np.abs(scans[:, ~lost[0]]).max() < 1e6
+
+
 @pytest.mark.slow
 def test_residual_at_10_mhz_is_near_the_instrument_s_noise():
     """SuZIE II came within a factor 1.5 of it (paper, "Prospects"); here over its own level at 1.25 to 2.5 Hz.

@@ -6,7 +6,8 @@ import pytest
 from surveysim.api import run
 from surveysim.atmosphere.opacity import band_opacity, optical_depth
 from surveysim.forecasting.forecast import forecast
-from surveysim.forecasting.response_filters import drift_left
+from surveysim.forecasting.response_filters import drift_left, stream_filters
+from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.rng import normal_deviates
@@ -71,6 +72,20 @@ def test_detector_noise_rises_with_the_deconvolution_alone(tmp_path):
     assert closed.max() > 1.8
 
 
+def test_white_levels(tmp_path):
+    """Of photon and detector noise behind time constants and their deconvolution: the filters of the streams."""
+    settings = DENSE | NO_LAYER | SLOW | {"photon.psd": "2 mK2/Hz", "photon.coherent_fraction": 0.0}
+    settings |= {"photon.coherence": "none", "time_constants.deconvolution_error": 0.1}
+    setup = prepare(load_scene(write_scene(tmp_path), {key: settings[key] for key in settings if key != "photon"}))
+    found, filters = observe(setup, 0, False), stream_filters(setup, setup.analysis.pipelines[0])
+    frequency = np.linspace(2.5, 10, 500)[1:-1]
+    parts = [(2.0, "light"), (2.5, "output")]
+    expected = sum(psd * filters.power(frequency, origin).mean() for psd, origin in parts)
+    n = 18 * 120 * 150  # frequencies of all scans
+    np.testing.assert_allclose(found.white_mk2_hz, expected, rtol=4 / np.sqrt(n) + 2e-3)
+    assert abs(expected / 4.5 - 1) > 0.3
+
+
 @pytest.mark.slow
 def test_drifts_leak_the_layer(tmp_path):
     """Of known responsivities that drift: the common layer times their variance, in streams after cleaning."""
@@ -116,3 +131,12 @@ def test_a_load_takes_signal_and_layer(tmp_path):
     for (without, with_load), rtol in zip(zip(*kept, strict=True), (1e-3, 1e-10), strict=True):
         np.testing.assert_allclose(with_load / without, (1 - 0.01 * load_k) ** 2, rtol=rtol)
     assert load_k > 2
+
+
+def test_crosstalk_of_a_part_of_the_detectors_is_told(tmp_path):
+    """Forecasts of a masked array neglect it; they say how much power it adds to large structures: (1 + 2 e)^2."""
+    scene = load_scene(write_scene(tmp_path), {"crosstalk.neighbour_fraction": 0.05})
+    effects = {name: {item.name: item for item in of.effects} for name, of in forecast(prepare(scene)).scores.items()}
+    (masked,) = (name for name in effects if name.startswith("masked"))
+    assert {name for name in effects if "crosstalk" in effects[name]} == {masked}
+    assert effects[masked]["crosstalk"].flagged and 0.15 < effects[masked]["crosstalk"].size <= 1.1**2 - 1 + 1e-12

@@ -11,10 +11,10 @@ from surveysim.report.figures.style import (
     BLUE,
     GREEN,
     GREY,
+    LEGEND,
     ORANGE,
     VERMILION,
     finish,
-    legend,
     new_figure,
     plain,
     save,
@@ -102,7 +102,8 @@ def _draw_alone(axes: Axes, result: BudgetResult) -> None:
         axes.errorbar(value, rows, xerr=bars, fmt=marker, color=colour, ms=4.5, elinewidth=1, capsize=2, label=label)
     _name_rows(axes, [item.row.title for item in result.costs])
     axes.set_title("each stage alone", fontsize=10)
-    legend(axes)
+    axes.set_ylim(bottom=axes.get_ylim()[0] + 0.9)  # room for the legend
+    axes.legend(loc="lower center", ncols=2, **LEGEND)
 
 
 def _name_rows(axes: Axes, labels: list[str]) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from surveysim.report.html.captions import BUDGET
-from surveysim.report.html.components import Block, Page, Section, Text, grid, picture
+from surveysim.report.html.components import Block, Page, Section, Terms, Text, grid, picture
 from surveysim.report.html.provenance import provenance, sources
 from surveysim.report.html.scene import what_was_simulated
 from surveysim.results.metric_tables import heading, label
@@ -21,7 +21,7 @@ from surveysim.studies.budget.lines import (
     small_line,
     total_lines,
 )
-from surveysim.studies.budget.tables import TITLE, budget_table, option_table, pair_table, point_table, time_text
+from surveysim.studies.budget.tables import TITLE, budget_table, pair_table, point_table, time_text
 
 Content = Mapping[str, Any]  # content of summary.json or scene.json
 PICTURE = "figures/budget.png"
@@ -32,7 +32,9 @@ def budget_page(directory: Path, summary: Content, scene: Content) -> Page:
     notes = (measure_line(summary), place_line(summary), *reason_lines(summary))
     costs = grid(replace(budget_table(summary), title=TITLE), *notes)
     sums = Text(tuple(total_lines(summary)))
-    sections = [Section("costs", TITLE, (costs, sums, grid(option_table(summary))))]
+    options = tuple((item["title"], item["options"]) for item in summary["budget"]["stages"])
+    removal = Terms(options, "Options that remove each stage, and what needs it", code=True)
+    sections = [Section("costs", TITLE, (costs, sums, removal))]
     if PICTURE in summary["files"] and (directory / PICTURE).is_file():
         drawn = picture(directory / PICTURE, BUDGET.title, BUDGET.alt, (BUDGET.shows, BUDGET.look_for))
         sections.append(Section("figure", "Figure", (drawn,)))
@@ -84,4 +86,7 @@ def _points(summary: Content) -> Iterator[Block]:
         f"All points have one seed, hence the same weather, noise and skies where the stages allow it. Each can be made"
         f" by itself: surveysim {command} SCENE with its options."
     )
-    yield grid(point_table(summary), note)
+    table = point_table(summary)
+    yield grid(replace(table, columns=tuple(item for item in table.columns if item.name != "options")), note)
+    points = ((f"{item['point']}", item["options"]) for item in summary["budget"]["points"] if item["options"])
+    yield Terms(tuple(points), "Options of each point", code=True)

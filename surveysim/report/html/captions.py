@@ -117,7 +117,7 @@ BUDGET = Caption(
     "Across: survey time that gives the same score, in percent of the whole scene's. Left: each bar adds the cost of a "
     "stage added alone to the least scene (grey at the top); the orange bar is the rest of the whole scene's time, the "
     "interactions of the stages. Right: the cost of each stage, removed alone from the whole scene (discs) and added "
-    "alone to the least one (squares). Bars are paired errors, for simulated points.",
+    "alone to the least one (squares). Bars are paired errors.",
     "Look for the longest bars, which a better camera shortens, for stages at 0 within their error bars, which this "
     "scene can do without, and for discs far from their squares: stages whose cost depends on the others.",
 )

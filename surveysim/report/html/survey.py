@@ -60,7 +60,8 @@ def run_page(directory: Path, summary: Content, scene: Content) -> Page:
         Section("provenance", "Provenance", (provenance(summary), stage_times(summary["run"]))),
     ]
     lead = (*_lead(summary, scene), *warned(summary))
-    return Page("surveysim run", summary["title"], lead, _key_figures(summary), tuple(sections))
+    point = f": {summary['point']}" if "point" in summary else ""
+    return Page("surveysim run", f"{summary['title']}{point}", lead, _key_figures(summary), tuple(sections))
 
 
 def sensitivity_blocks(entries: Sequence[Content]) -> tuple[Grid, ...]:

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.numbers import plural
+from surveysim.timestreams.component import present_components
 from surveysim.timestreams.response import present_steps
 from surveysim.timestreams.sharing import uses_table_groups
 
@@ -24,6 +25,9 @@ def camera_lines(setup: Setup) -> Iterator[str]:
     if counts.readout_groups:
         used = "" if uses_table_groups(setup.scene) else ", which change no result"
         yield f"detectors of readout groups{used}: {_named(counts.readout_groups)}"
+    for item in present_components(setup.scene):
+        if item.absence is None:
+            yield f"{item.title.lower()}: {item.sentence}"
     for step in present_steps(setup):
         if step.section != "instrument":
             yield f"{step.title.lower()}: {step.sentence}"

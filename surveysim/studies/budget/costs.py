@@ -43,11 +43,12 @@ class Measured:
     values
         The metric at the points.
     modes : (n_point, n_mode)
-        Responses of ln value to unit deviates that points share; zeros for forecasts.
+        Responses of ln value to unit deviates that points share. Those of forecasts are independent: errors of the
+        fractions of discarded scans that they predict.
     exponent
         Power p of the noise power in the value.
     simulated
-        Whether values have Monte Carlo errors.
+        Whether the values are of runs.
     """
 
     values: np.ndarray
@@ -75,7 +76,7 @@ class Measured:
     def _estimate(self, value: float, error: float) -> Estimate:
         if not np.isfinite(value):
             return NONE
-        return Estimate(float(value), float(error) if self.simulated else np.nan)
+        return Estimate(float(value), float(error))
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class StageCost:
     scene's.
 
     `interaction` is the cost of its removal less that of its addition. `small` tells that both costs are less than
-    their errors, or less than `SMALL` by forecast. Cleaning, which other stages need, is never small.
+    their errors, and by forecast less than `SMALL` if their errors are. Cleaning, which others need, is never small.
     """
 
     row: BudgetRow
@@ -170,11 +171,8 @@ def _stage_cost(row: BudgetRow, found: Measured) -> StageCost:
         numbers = (row.removed.present, row.removed.absent, row.added.present, row.added.absent)
         interaction = found.time(numbers, (1, -1, -1, 1))
     times = [item[1] for item in (removed, added) if item[1].is_known]
-    small = (
-        row.name != CLEANING
-        and bool(times)
-        and all(abs(item.value) <= (item.error if found.simulated else SMALL) for item in times)
-    )
+    floor = 0.0 if found.simulated else SMALL
+    small = row.name != CLEANING and bool(times) and all(abs(item.value) <= max(item.error, floor) for item in times)
     return StageCost(row, *removed, *added, interaction, small)
 
 

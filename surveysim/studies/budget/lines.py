@@ -10,6 +10,7 @@ from surveysim.studies.budget.tables import NOT_COMPARABLE, time_text
 
 Content = Mapping[str, Any]  # content of summary.json
 MOST_NAMED = 3  # interactions in a sentence
+OF_FORECASTS = " Errors of forecasts are those of the fractions of discarded scans that they predict."
 SURE = 3  # standard errors beyond which an interaction is named: pairs are many
 
 
@@ -23,7 +24,7 @@ def measure_line(summary: Content) -> str:
     return (
         f"Times are survey times that give the same {name}, as shares of the whole scene's. {name} goes as the noise"
         f" power of the map{how}, which goes as one over the survey time. The powers of independent noises add up, and"
-        " so do times; ratios do not."
+        f" so do times; ratios do not.{'' if summary['kind'] == 'simulated' else OF_FORECASTS}"
     )
 
 
@@ -64,14 +65,11 @@ def small_line(summary: Content) -> str:
     """Name the stages that cost less than their errors, with their costs."""
     simulated = summary["kind"] == "simulated"
     small = [f"{item['title']}, {_cost_text(item)}" for item in summary["budget"]["stages"] if item["small"]]
+    limit = f"{100 * SMALL:g} %"
     if not small:
-        return f"Every stage costs more than {'its error' if simulated else f'{100 * SMALL:g} %'}."
-    limit = (
-        "their errors, which more observations lower"
-        if simulated
-        else f"{100 * SMALL:g} %, which this score can do without"
-    )
-    return f"Stages that cost less than {limit}: {'; '.join(small)}."
+        return f"Every stage costs more than {'its error' if simulated else limit}."
+    what = "their errors, which more observations lower" if simulated else f"{limit} or than their errors"
+    return f"Stages that cost less than {what}: {'; '.join(small)}."
 
 
 def _cost_text(stage: Content) -> str:
@@ -88,7 +86,7 @@ def interaction_line(summary: Content) -> str:
         found = [(" with ".join(titles[name] for name in item["stages"]), item) for item in pairs]
     else:
         found = [(item["title"], item["interaction"]) for item in stages if item["interaction"]["value"] is not None]
-    large = [(title, item) for title, item in found if abs(item["value"]) > (SURE * (item["error"] or 0) or SMALL)]
+    large = [(title, item) for title, item in found if abs(item["value"]) > max(SURE * (item["error"] or 0), SMALL)]
     large.sort(key=lambda entry: -abs(entry[1]["value"]))
     if not large:
         return ""

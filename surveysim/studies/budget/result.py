@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from surveysim.studies.budget.costs import Measured, PairCost, StageCost, Total, pair_costs, stage_costs, total
 from surveysim.studies.budget.points import WHOLE, Budget
 from surveysim.studies.sweep.comparison import Comparison, actual_shares
@@ -45,7 +47,10 @@ class BudgetResult:
     @property
     def measured(self) -> Measured:
         """Values of the metric at the points."""
-        return Measured(self.comparison.value, self.comparison.modes, self.exponent, self.simulated)
+        modes = self.comparison.modes
+        if not self.simulated:  # sigma(A) goes as one over the kept scans, as it does over time
+            modes = np.diag([self.exponent * item.kept_error for item in self.points])
+        return Measured(self.comparison.value, modes, self.exponent, self.simulated)
 
     @property
     def is_scored(self) -> bool:

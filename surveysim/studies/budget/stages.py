@@ -119,7 +119,16 @@ def _response(scene: Scene) -> Iterator[Stage]:
     titles = {step.section: step.title for step in reversed(RESPONSE_STEPS)}
     for section in ResponseSections.model_fields:
         if getattr(scene, section) is not None:
-            yield Stage(section, titles[section], {section: None})
+            off = {section: None}
+            yield Stage(section, titles[section], _no_filter(scene) if section == "time_constants" else off)
+
+
+def _no_filter(scene: Scene) -> dict[str, Any]:
+    """Settings of time constants of 0, with which photon and detector noise keep their draws; else those of a table."""
+    if scene.time_constants.value_s is None:
+        return {"time_constants": None}
+    off = {"time_constants.value": "0 s", "time_constants.scatter": 0.0}
+    return off | {"time_constants.deconvolution_error": None}
 
 
 def _settings(scene: Scene) -> Iterator[Stage]:

@@ -141,7 +141,7 @@ def _comparison(
         own = np.zeros((len(runs), rows.shape[1]))
         own[numbers] = rows
         columns.append(own)
-    shares = np.array([run.summary["discarded"].get(name, 0.0) for run in runs])
+    shares = np.array([run.discarded.get(name, 0.0) for run in runs])
     rng = np.random.default_rng(_DRAWS_SEED)
     quantity = _quantity(results, name, key)
     return compare(value, np.hstack(columns), rng, discarded=shares, relative=relative, quantity=quantity)

@@ -6,9 +6,10 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.runtime.errors import SceneError
@@ -32,6 +33,32 @@ _OTHERS = {  # keys of other summaries, and the directories to give in their pla
     "compared": f"found a comparison; {RUN}, is expected",
 }
 _LONGEST_REASON = 150
+
+
+class _Score(BaseModel):
+    sigma_ukcmb2: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    error_ukcmb2: float | None
+
+
+class _Stopped(BaseModel):
+    observations_of_survey: int
+
+
+class _Summary(BaseModel):
+    """Part of summary.json that comparisons read."""
+
+    model_config = ConfigDict(strict=True)
+
+    scene: str
+    title: str
+    seed: int
+    surveysim: str
+    scene_sha256: str
+    detectors: int
+    observations: int
+    discarded: dict[str, float] = {}
+    scores: dict[str, _Score]
+    stopped: _Stopped | None = None
 
 
 @dataclass(frozen=True)
@@ -59,6 +86,11 @@ class FinishedRun:
     settings: Mapping[str, Any]
     result: PointResult | None
     without: str
+
+    @property
+    def discarded(self) -> Mapping[str, float]:
+        """Fractions of discarded scans by data set."""
+        return self.summary.get("discarded", {})
 
     @property
     def origin(self) -> tuple[int, str] | None:
@@ -117,6 +149,12 @@ def _read_run(path: Path, label: str) -> FinishedRun:
     if ACTUAL not in summary["scores"]:
         why = summary.get("unscored") or "its scene has no section [score]"
         raise SceneError(f"{path}: found a run without a score ({why}); one with a score is expected")
+    try:
+        _Summary.model_validate(summary)
+    except ValidationError as error:
+        first = error.errors()[0]
+        reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+        raise SceneError(f"{path / 'summary.json'}: damaged ({reason}); {RUN}, is expected") from None
     result, without = _scores(path, summary)
     return FinishedRun(path, label, summary, _read(path / "scene.json"), _settings(path), result, without)
 

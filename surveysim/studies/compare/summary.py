@@ -27,7 +27,7 @@ def comparison_summary(result: RunComparison) -> dict[str, Any]:
 
 def _run_entry(result: RunComparison, number: int) -> dict[str, Any]:
     run = result.runs[number]
-    summary, stopped = run.summary, run.summary["stopped"]
+    summary, stopped = run.summary, run.summary.get("stopped") or {}
     entry = {
         "label": run.label,
         "directory": str(run.directory),
@@ -38,8 +38,8 @@ def _run_entry(result: RunComparison, number: int) -> dict[str, Any]:
         "scene_sha256": summary["scene_sha256"],
         "detectors": summary["detectors"],
         "observations": summary["observations"],
-        "observations_of_survey": stopped["observations_of_survey"],
-        "discarded": summary["discarded"].get(ACTUAL),
+        "observations_of_survey": stopped.get("observations_of_survey", summary["observations"]),
+        "discarded": run.discarded.get(ACTUAL),
         "errors": "paired" if result.paired(number) else "independent",
         **known(_weather(run)),
     }
@@ -74,7 +74,7 @@ def _quantity_entry(name: str, item: Comparison) -> dict[str, Any]:
 
 def _warnings(result: RunComparison) -> list[str]:
     labels = [run.label for run in result.runs]
-    found = sweep_warnings(labels, [run.summary["discarded"] for run in result.runs], "runs")
+    found = sweep_warnings(labels, [run.discarded for run in result.runs], "runs")
     if result.plain:
         found.append(
             "a run has no forecast: runs that share random numbers are all quoted by plain estimates, for the weather"

@@ -98,7 +98,7 @@ def run_points(
     progress
         Function of the number of finished points.
     keep
-        Function that writes the results of a point where it runs, by its number; None for none.
+        Function that writes the results of a point where it runs; None for none.
 
     Raises
     ------
@@ -151,13 +151,19 @@ def _kept(sweep: Sweep, stages: Sequence[Stage], directory: Path) -> dict[Stage,
                 "start anew with --force, or write elsewhere with --out"
             )
     there = [stage for stage in stages if os.path.lexists(directory / stage.file)]
-    return {stage: load_point(directory / stage.file, stage.point) for stage in there}
+    return {stage: load_point(directory / stage.file, stage.point, stage.observations) for stage in there}
 
 
 def _discarded(found: Forecast | None) -> dict[str, float]:
     """Predicted fractions of discarded scans by data set, without unknown ones."""
     kept = {name: item.kept for name, item in found.scores.items()} if found else {}
     return {name: item.discarded for name, item in kept.items() if np.isfinite(item.error)}
+
+
+def _kept_error(found: Forecast | None) -> float:
+    """Relative error of the predicted scans of the actual data; 0 where it is unknown."""
+    kept = found.scores[ACTUAL].kept if found else None
+    return kept.error / (1 - kept.discarded) if kept and np.isfinite(kept.error) else 0.0
 
 
 def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[PointResult, ...]:
@@ -173,7 +179,8 @@ def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[Poin
         sigma = {name: float(item.band.sigma_ukcmb2) for name, item in found.scores.items()} if found else {}
         told = forecast_flags(found), _discarded(found)
         wall_s = perf_counter() - start
-        results.append(PointResult(point.n_det, 0, {}, sigma, [], *told, [], "", reason, wall_s, {}, metrics))
+        kept = _kept_error(found)
+        results.append(PointResult(point.n_det, 0, {}, sigma, [], *told, [], "", reason, wall_s, {}, metrics, kept))
         progress(len(results))
     return tuple(results)
 
@@ -264,8 +271,8 @@ def _of_one_weather(items: list[DataSetScore], responses: list[Response]) -> lis
 
 
 def _scatter(item: DataSetScore, response: Response) -> float:
-    if not response.noise.any():
-        return 0.0
+    if not (np.isfinite(response.noise).all() and response.noise.any()):
+        return response.budget.weather
     shares = item.shares(response.noise, response.exponent)
     return float(np.std(shares, ddof=1) * len(shares) ** 0.5) * student_factor(len(shares))
 

@@ -107,3 +107,8 @@ def check_metrics(metrics: MetricResults, scene: Scene, data_sets: set[str], n_b
     for name, array in metric_arrays(metrics):
         if array.shape != (n_bin,) or array.dtype != float:
             raise ValueError(f"{name} has the shape {array.shape} of {array.dtype}")
+    for item in (item for found in metrics.values() for item in found.values()):
+        for response in (item.quoted.response, item.plain.response):
+            known = np.isfinite([response.noise, response.transmission]).all()
+            if np.isfinite(response.budget.total) and not known:
+                raise ValueError("a metric with an error has a response that is no number")

@@ -20,7 +20,7 @@ from surveysim.survey.checkpoint import CheckpointError
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.run import finished_sums, run_observations
 
-Keep = Callable[[int, SurveyResult], None]  # writes the results of a point, by its number
+Keep = Callable[[Point, SurveyResult], None]  # writes the results of a point
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ class PointJob:
         limits = UNLIMITED if stage.is_whole else StoppingCriteria(in_rounds=True)
         result = survey_result(setup, coadds, wall_s=perf_counter() - start, workers=1, limits=limits)
         if self.keep is not None:
-            self.keep(stage.point.number, result)
+            self.keep(stage.point, result)
         found = point_result(result)
         if self.directory is not None:
             save_point(self.directory / stage.file, found, scene_hash(stage.point.scene))

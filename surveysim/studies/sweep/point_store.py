@@ -35,7 +35,12 @@ from surveysim.studies.sweep.point_metrics import (
 from surveysim.survey.checkpoint import REASON, CheckpointError, check_origin, read_meta
 from surveysim.survey.scores import Control, DataSetScore
 
-_APART = ("scores", "metrics", "metric_forecasts")  # fields that the JSON part has elsewhere, or not at all
+_APART = (
+    "scores",
+    "metrics",
+    "metric_forecasts",
+    "kept_error",
+)  # fields that the JSON part has elsewhere, or not at all
 _OF_BAND, _OF_TRANSFER = ("weight", "ell", "cumulative"), ("ell", "transmission", "deviations")
 _OF_CONTROL = ("factor", "weights", "noise")
 _OF_SET = ("noise_psds", "signal_psd", "weights", "bin_noise", "kept")
@@ -81,6 +86,8 @@ class PointResult:
         Quantities of all metrics of a run, by data set and key.
     metric_forecasts
         Quantities of all metrics of a forecast, by data set and key.
+    kept_error
+        Relative error of the scans of the actual data that a forecast expects to be kept; 0 where it is unknown.
     """
 
     n_det: int
@@ -96,6 +103,7 @@ class PointResult:
     wall_s: float
     metrics: MetricResults
     metric_forecasts: dict[str, dict[str, Quantity]]
+    kept_error: float = 0.0
 
 
 def point_file(number: int, observations: int, of_survey: int) -> str:
@@ -143,8 +151,8 @@ def load_run(path: Path) -> tuple[PointResult, str, str]:
         return _result(file, meta), meta.scene, meta.version
 
 
-def load_point(path: Path, point: Point) -> PointResult:
-    """Read a finished point.
+def load_point(path: Path, point: Point, observations: int) -> PointResult:
+    """Read a finished point, or one with so many of its first observations.
 
     Raises
     ------
@@ -155,7 +163,7 @@ def load_point(path: Path, point: Point) -> PointResult:
         meta = read_meta(str(file["meta"]))
         check_origin(path, meta, scene_hash(point.scene))
         result = _result(file, _Meta.model_validate(meta))
-        _check_point(result, point)
+        _check_point(result, point, observations)
         return result
 
 
@@ -247,7 +255,7 @@ def _result(file: Any, meta: _Meta) -> PointResult:
     return result
 
 
-def _check_point(result: PointResult, point: Point) -> None:
+def _check_point(result: PointResult, point: Point, observations: int) -> None:
     """Raise ValueError for scores that do not fit the scene of a point."""
     score, names = point.scene.score, _data_sets(point.scene)
     if result.n_det != point.n_det or any(item.n_det > point.n_det for item in result.scores.values()):
@@ -259,9 +267,9 @@ def _check_point(result: PointResult, point: Point) -> None:
         raise ValueError(f"no data set of the scene: {others[0]}")
     n_bin = {len(item.signal_psd) for item in result.scores.values()}
     check_metrics(result.metrics, point.scene, set(result.scores), max(n_bin, default=0))
-    n_obs, skies = result.observations, score.signal_sims.skies
-    if n_obs > point.scene.observations:
-        raise ValueError(f"{n_obs} observations, more than the scene's {point.scene.observations}")
+    n_obs, skies = observations, score.signal_sims.skies
+    if result.observations != n_obs:
+        raise ValueError(f"{result.observations} observations, not {n_obs}")
     sizes = {"noise_psds": (score.jackknives, *n_bin), "transfer_function.deviations": (skies, *n_bin)}
     sizes |= dict.fromkeys(("weights", "control.weights"), (n_obs,))
     sizes |= dict.fromkeys(("bin_noise", "control.noise"), (n_obs, *n_bin))

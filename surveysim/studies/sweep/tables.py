@@ -122,7 +122,7 @@ def stop_sentence(summary: Content) -> str:
     if (stopped := summary.get("stopped")) is None:
         return ""
     rounds, done = stopped["rounds"], sum(point["observations"] for point in summary["points"])
-    after = f"It ended after {plural(len(rounds), 'round')}, to {rounds[-1]} observations, {done} in all"
+    after = f"The sweep ended after {plural(len(rounds), 'round')}, to {rounds[-1]} observations, {done} in all"
     confidence, target = percent(stopped["confidence"]), percent(stopped["target_error"])
     reasons = {
         "confidence": f"the best point is known with a confidence of {confidence} at least",

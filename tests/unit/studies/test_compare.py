@@ -157,6 +157,7 @@ def test_settings_are_told_by_their_keys():
         ("unscored", "found a run without a score (too few); one with a score is expected"),
         ("paper", "found other results; the directory of a run"),
         ("broken", "can't be read"),
+        ("damaged", "damaged (scores.actual.sigma_ukcmb2: Input should be greater than 0); the directory of a run"),
     ],
 )
 def test_other_directories_are_refused(alone, tmp_path, name, line):
@@ -167,6 +168,9 @@ def test_other_directories_are_refused(alone, tmp_path, name, line):
         "unscored": {"scores": {}, "seed": 1, "unscored": "too few"},
         "paper": {"paper": "", "runs": []},
     }
+    summary = json.loads((alone[0] / "summary.json").read_text())
+    summary["scores"]["actual"]["sigma_ukcmb2"] = -1.0
+    contents["damaged"] = summary
     if name == "file":
         path.write_text("mine")
     elif name != "gone":

@@ -33,7 +33,7 @@ def content_of(raw):
 def test_round_trip(finished, tmp_path):
     point, raw = finished
     (tmp_path / "000.npz").write_bytes(raw)
-    result = load_point(tmp_path / "000.npz", point)
+    result = load_point(tmp_path / "000.npz", point, 4)
     assert set(result.scores) >= {"actual", "uncorrelated", "white"} and result.unscored == ""
     assert not np.isnan(result.scores["actual"].band.sigma_ukcmb2)
 
@@ -154,6 +154,6 @@ def test_truncated_files_pipes_and_folders_are_refused(finished, tmp_path):
 
 def refused(path, point, words):
     with pytest.raises(CheckpointError, match=words) as caught:
-        load_point(path, point)
+        load_point(path, point, 4)
     text = str(caught.value)
     assert text.startswith(f"{path}: ") and text.isprintable() and len(text) < len(str(path)) + 250

@@ -96,7 +96,9 @@ def test_observations_go_where_the_ranking_is_open(early, path, tmp_path, capsys
     assert summary["stopped"] == {"reason": "all", **LIMITS, "rounds": [4, 8, 16]}
     table = Table.read(tmp_path / "out" / "sweep.ecsv", format="ascii.ecsv")
     assert list(table["observations"]) == [16, 16, 4]
-    said = "It ended after 3 rounds, to 16 observations, 36 in all: the points that may be the best have all their"
+    said = (
+        "The sweep ended after 3 rounds, to 16 observations, 36 in all: the points that may be the best have all their"
+    )
     assert said in read_page(tmp_path / "out" / "report.html").one("header").text
     print_sweep(result, tmp_path / "out")
     assert said in capsys.readouterr().out.replace("\n", " ")

@@ -213,6 +213,8 @@ def test_each_point_has_the_files_of_a_run(levels, tmp_path):
         if name.startswith("tables/"):
             assert (out / "points" / "1" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
     (link,) = [item for item in read_page(out / "report.html").all("a") if "points/1" in item.attributes["href"]]
+    title = read_page(out / "points" / "1" / "report.html").one("h1").text
+    assert title.endswith(": detector.psd = 10 mK²/Hz") and content["point"] == "detector.psd = 10 mK2 / Hz"
     assert link.text == "10 mK²/Hz" and link.attributes["href"] == "points/1/report.html"
 
 
@@ -356,7 +358,7 @@ def test_wrong_files_of_points(write, tmp_path, monkeypatch, kind, damage):
 def test_points_come_back_from_their_files(levels, tmp_path):
     point = levels[0].points[1]
     save_point(tmp_path / "000.npz", point, scene_hash(levels[0].sweep.points[1].scene))
-    again = load_point(tmp_path / "000.npz", levels[0].sweep.points[1])
+    again = load_point(tmp_path / "000.npz", levels[0].sweep.points[1], 4)
     assert isinstance(again, PointResult) and again.forecast_ukcmb2 == point.forecast_ukcmb2
     assert (again.n_det, again.skies, again.unscored, again.wall_s) == (18, point.skies, "", point.wall_s)
     one, other = point.scores["actual"], again.scores["actual"]
