@@ -84,8 +84,9 @@ class StageCost:
     """Cost of a stage of a budget: `ratio` of the metric with and without it, survey `time` as a share of the whole
     scene's.
 
-    `interaction` is the cost of its removal less that of its addition. `small` tells that both costs are less than
-    their errors, and by forecast less than `SMALL` if their errors are. Cleaning, which others need, is never small.
+    `interaction` is the cost of its removal less that of its addition. `small` tells that its removal, or else its
+    addition, costs less than the error, and by forecast less than `SMALL` if the error is. Cleaning, which others need,
+    is never small.
     """
 
     row: BudgetRow
@@ -170,9 +171,9 @@ def _stage_cost(row: BudgetRow, found: Measured) -> StageCost:
     if removed[1].is_known and added[1].is_known and row.removed != row.added:
         numbers = (row.removed.present, row.removed.absent, row.added.present, row.added.absent)
         interaction = found.time(numbers, (1, -1, -1, 1))
-    times = [item[1] for item in (removed, added) if item[1].is_known]
-    floor = 0.0 if found.simulated else SMALL
-    small = row.name != CLEANING and bool(times) and all(abs(item.value) <= max(item.error, floor) for item in times)
+    cost = removed[1] if removed[1].is_known else added[1]
+    limit = cost.error if found.simulated else max(cost.error, SMALL)
+    small = row.name != CLEANING and abs(cost.value) <= limit  # not for NaN
     return StageCost(row, *removed, *added, interaction, small)
 
 
