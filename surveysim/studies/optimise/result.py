@@ -86,8 +86,8 @@ class OptimiseResult:
         if 100 * found.scatter > FEW_PERCENT:
             why = ", as discarded scans are predicted from a few" if best.discarded > 0 else ""
             lines.append(
-                f"forecasts scatter by {100 * found.scatter:.1f} % about a smooth surface near the optimum{why}: the best"
-                " design is the lowest point of the surface"
+                f"forecasts scatter by {100 * found.scatter:.1f} % about a smooth surface near the optimum{why}: the"
+                " best design is the lowest point of the surface"
             )
         lines += [f"the forecast of the best design may be off. {sentence}" for sentence in best.flags]
         if self.simulated is not None:
