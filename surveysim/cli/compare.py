@@ -11,7 +11,7 @@ from surveysim.cli.options import Force, NoFigures, Quiet
 def compare(
     directories: Annotated[
         list[Path],
-        typer.Argument(metavar="DIR DIR ...", help="Two or more runs, or points of a sweep."),
+        typer.Argument(metavar="DIR", help="Two or more runs, or points of a sweep."),
     ],
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Directory for table, figures and report; by default none.")
@@ -20,9 +20,10 @@ def compare(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compare finished runs: settings that differ, scores with paired errors, spectra.
+    """Compare finished runs.
 
-    Ratios are to the first run.
+    Settings that differ, scores with paired errors and spectra are read from their directories. Ratios are to the first
+    run.
     """
     from surveysim.api import compare as compare_runs
     from surveysim.report.terminal.compare import print_comparison

@@ -41,10 +41,21 @@ def check(scene: SceneFile, settings: Overrides = None) -> None:
         large = _check_setups(scenes.bands)
     else:
         setup = ready_setup(scene, settings)
+        knobs = _knobs(scene, settings) if setup.scene.optimise else ""
         say(f"{scene}: {setup.scene.name!r} is a scene that can be run")
+        if knobs:
+            say(f"'surveysim optimise' varies {knobs}")
         large = _check_setups({"": setup.scene})
     if large:
         say(large)
+
+
+def _knobs(scene: Path, settings: list[str] | None) -> str:
+    """Check the section [optimise] of a scene; return its knobs."""
+    from surveysim.cli import options
+    from surveysim.studies.optimise.problem import load_problem
+
+    return ", ".join(knob.key for knob in load_problem(scene, options.settings(settings)).knobs)
 
 
 def _check_setups(scenes: "Mapping[str, Scene]") -> str:

@@ -1,5 +1,6 @@
 """Metrics of a run: values, Monte Carlo errors and forecasts of every quantity, by data set and key."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -79,9 +80,15 @@ def _of_data_set(
     for metric, function in functions.items():
         for name, (quantity, own, drawn) in estimates(function, item, quoted, plain).items():
             key = f"{metric}.{name}"
-            seen = forecast[key].value * own.value / drawn.value if key in forecast else None
+            seen = forecast[key].value * _ratio(own, drawn) if key in forecast else None
             found[key] = MetricResult(own, drawn, quantity.unit, quantity.lower_is_better, seen, quantity.note)
     return found
+
+
+def _ratio(quoted: Estimate, plain: Estimate) -> float:
+    """Effect of the control variate on a value; 1 without a value."""
+    known = all(0 < item.value < math.inf for item in (quoted, plain))
+    return quoted.value / plain.value if known else 1.0
 
 
 def relative_error(setup: Setup, item: DataSetScore, key: str) -> float:

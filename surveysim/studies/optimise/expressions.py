@@ -98,7 +98,7 @@ def _value(node: ast.expr, given: Callable[[str], Any]) -> Any:
     if isinstance(node, ast.Name | ast.Attribute):
         name = ast.unparse(node)
         found = given(name)
-        return _unit(name) if found is None else found
+        return unit(name) if found is None else found
     if isinstance(node, ast.List):
         return np.array([_value(item, given) for item in node.elts])
     if isinstance(node, ast.Call):
@@ -109,7 +109,8 @@ def _value(node: ast.expr, given: Callable[[str], Any]) -> Any:
     return _OPERATORS[type(node.op)](_value(node.left, given), _value(node.right, given))
 
 
-def _unit(name: str) -> Any:
+def unit(name: str) -> Any:
+    """Return the unit of a name as a quantity; InputError for a name of none."""
     import astropy.units as u
 
     try:

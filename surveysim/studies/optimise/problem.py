@@ -3,7 +3,7 @@
 import ast
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -20,10 +20,11 @@ from surveysim.scene.scene import Origin, Scene, read_scene, scene_hash, scene_o
 from surveysim.scene.shipped import find_scene
 from surveysim.scene.similar_names import did_you_mean
 from surveysim.scene.units import file_value, shown
-from surveysim.studies.optimise.expressions import key_value, parse, quantity_of, value_of
+from surveysim.studies.optimise.expressions import key_value, names, parse, quantity_of, unit, value_of
 from surveysim.studies.optimise.knobs import Knob, check_key, knob_numbers, knob_of, knob_settings
 
 COSTS = ("detectors", "data_rate", "observing_time")  # quantities that a search can make small
+QUANTITIES = (*COSTS, "field_of_view")  # that limits may bound
 Places = tuple[float, ...]  # of the knobs, 0 to 1
 
 
@@ -183,7 +184,27 @@ def _problem(origin: Origin, scene: Scene, content: Mapping[str, Any]) -> tuple[
     knobs = tuple(made(knob_of, options.knobs, "knobs"))
     derived = dict(made(_derived_of, options.derived, "derived"))
     limits = tuple(made(_limit_of, options.limits, "limits"))
-    return Problem(origin, scene, content, knobs, derived, limits), wrong
+    problem = Problem(origin, scene, content, knobs, derived, limits)
+    known = {*(knob.key for knob in knobs), *derived}
+    for number, tree in enumerate(derived.values()):
+        wrong += _unknown_names(problem, tree, known, f"optimise.derived.{number}.value")
+    for number, limit in enumerate(limits):
+        wrong += _unknown_names(
+            problem, limit.tree, known | {*metrics, *QUANTITIES}, f"optimise.limits.{number}.quantity"
+        )
+    return problem, wrong
+
+
+def _unknown_names(problem: Problem, tree: ast.expr, known: set[str], where: str) -> Iterator[str]:
+    """Yield a line for each name of an expression that is no known one, no key with a value and no unit."""
+    given = problem.values({})
+    for name in sorted(names(tree)):
+        try:
+            if name not in known and given(name) is None:
+                unit(name)
+        except InputError as error:
+            similar = did_you_mean(name, sorted({*known, *all_keys()}))
+            yield f"{where}: {f'found {shown(name)}; {similar}' if similar else error}"
 
 
 def _derived_of(section: Any, where: str) -> tuple[str, ast.expr]:

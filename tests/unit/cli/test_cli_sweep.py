@@ -82,12 +82,32 @@ def test_one_point_of_a_sweep(call, sweep, monkeypatch):
     for name in ("scores", "map_psd", "observations", "timestream_psd"):
         assert (alone / f"tables/{name}.ecsv").read_bytes() == (point / f"tables/{name}.ecsv").read_bytes()
     assert len(list((alone / "timestreams").iterdir())) == 5 and (alone / "checkpoint.h5").is_file()
+    code, text, _ = call("report", "whole")
+    assert (code, text.split()) == (0, [f"whole/{name}report.html" for name in ("points/0/", "points/1/", "")])
     error = refused(call, sweep, "--point", 2)
     assert error == f"{sweep}: --point: found 2; the number of a point, 0 to 1, is expected\n"
     assert "--keep-all: found --point, whose run keeps all" in refused(call, sweep, "--point", 1, "--keep-all")
     sweep.write_text(SMALL_SCENE)
     assert "--point: found a scene without [sweep]; a sweep of one" in refused(call, sweep, "--point", 1)
     assert "--keep-all: found a scene without [sweep]; a sweep is" in refused(call, sweep, "--keep-all")
+
+
+def test_limits_of_a_sweep(call, sweep):
+    """With few observations there is one round."""
+    out, limits = sweep.parent / "speeds", ("--target-error", "5%", "--confidence", "90%")
+    code, text, error = call("run", sweep, *limits, "--engine", "serial", "--no-figures", "--out", out)
+    assert code == 0 and "The sweep ended after 1 round, to 4 observations, 8 in all: " in text
+    assert "speeds: 2/2 rounds of points, at most" in error
+    assert "--confidence: found no --target-error; both are expected" in refused(call, sweep, "--confidence", "90%")
+    error = refused(call, sweep, "--target-error", "3%", "--confidence", "2")
+    assert error == "confidence: found 2; 50 % or more and less than 100 % is expected\n"
+    assert "--target-error: found" in refused(call, sweep, "--target-error", "3 K")
+    assert "--time-budget: found a sweep, whose points run to the end of a round" in refused(
+        call, sweep, "--time-budget", "3 s"
+    )
+    sweep.write_text(SMALL_SCENE)
+    error = refused(call, sweep, "--target-error", "3%", "--confidence", "90%")
+    assert "--confidence: found a run of a scene; a sweep with --target-error is expected" in error
 
 
 def test_reference_point_of_the_command_line(call, sweep):

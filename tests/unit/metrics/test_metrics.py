@@ -1,16 +1,22 @@
 """Metrics of a run: the list, agreement with sigma(A), and the options of a scene."""
 
+import json
+import math
+
 import pytest
 
 from surveysim import run
 from surveysim.metrics.registry import METRICS, metric_functions
 from surveysim.reduction.setup import prepare
 from surveysim.report.terminal.survey import stop_lines
+from surveysim.results.metric_tables import metric_table
 from surveysim.results.metrics import forecast_metrics
 from surveysim.results.results import survey_result
 from surveysim.results.stopping import FEWEST, parsed_limits
+from surveysim.results.summary import summary
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import InputError, InsufficientDataError, SceneError
+from surveysim.runtime.strict_json import strict_json
 from surveysim.scene.metrics import METRIC_SECTIONS, SIGMA_KEY, FlatBandPower, metric_keys
 from surveysim.scene.scene import load_scene
 from surveysim.survey.run import run_observations
@@ -145,3 +151,16 @@ def test_the_target_metric_is_one_of_the_scene(result):
         run(result.setup.scene, target_error=0.1, target_metric="cluster.depth_y0")
     with pytest.raises(InputError, match="--target-metric: found no --target-error"):
         parsed_limits(None, None, SIGMA_KEY)
+
+
+@pytest.mark.parametrize("value, hours", [(20_000, 0.0), (1, math.inf)])
+def test_a_time_that_is_no_number_is_told(tmp_path, value, hours):
+    """A scale that time does not change is reached at any time, or never."""
+    entries = METRICS_TEXT.replace("flat_band_power.sigma", "largest_scale.ell").replace("1000\n", f"{value}\n")
+    setup = prepare(load_scene(write_scene(tmp_path, SMALL_SCENE + entries)))
+    found = survey_result(setup, run_observations(setup, None), wall_s=0.0, workers=1)
+    item = found.metrics["actual"]["time_to.hours"]
+    assert (item.value, item.forecast) == (hours, hours) and item.note
+    entry = json.loads(strict_json(summary(found)["metrics"]["actual"]["time_to.hours"]))
+    assert entry["value"] == (None if hours else 0.0) and entry["error"] in (None, 0.0)
+    assert ("never" if hours else "at any time") in str(metric_table(summary(found)["metrics"]).rows) or not hours

@@ -293,6 +293,18 @@ def test_wrong_expressions(text, said):
             SPEED + '[[optimise.derived]]\nkey = "scan.scans"\nvalue = "open(1)"\n',
             "optimise.derived.0.value: found 'open(1)'",
         ),
+        (
+            SPEED + '[[optimise.limits]]\nquantity = "detectrs"\nat_most = 2\n',
+            "found 'detectrs'; did you mean detectors",
+        ),
+        (
+            SPEED + '[[optimise.derived]]\nkey = "scan.scans"\nvalue = "2 * scan.stp"\n',
+            "optimise.derived.0.value: found 'scan.stp'; did you mean scan.step",
+        ),
+        (
+            SPEED + '[[optimise.derived]]\nkey = "scan.scans"\nvalue = "2 * nothing"\n',
+            "found 'nothing'; a key of the scene that has a value, or a unit, is expected",
+        ),
         ('metrics = ["flat_band_power.sigmaa"]\n' + SPEED, "did you mean flat_band_power.sigma?"),
     ],
 )
