@@ -84,9 +84,10 @@ class OptimiseResult:
             most = self.problem.options.evaluations
             lines.append(f"the search ended at its {most} forecasts; more ('optimise.evaluations') may find better")
         if 100 * found.scatter > FEW_PERCENT:
+            why = ", as discarded scans are predicted from a few" if best.discarded > 0 else ""
             lines.append(
-                f"forecasts scatter by {100 * found.scatter:.1f} % about a smooth curve near the optimum, as the scans"
-                " that cleaning discards are predicted from a few: the best design is the lowest point of the curve"
+                f"forecasts scatter by {100 * found.scatter:.1f} % about a smooth surface near the optimum{why}: the"
+                " best design is the lowest point of the surface"
             )
         lines += [f"the forecast of the best design may be off. {sentence}" for sentence in best.flags]
         if self.simulated is not None:
