@@ -70,10 +70,10 @@ def _draw_waterfall(axes: Axes, steps: list[tuple[str, Estimate, str]]) -> None:
         axes.barh(row, ends[1] - ends[0], left=ends[0], height=0.62, color=colour, ec=colour, lw=1)
         if np.isfinite(found.error):
             axes.errorbar(ends[1], row, xerr=100 * found.error, color=BLACK, elinewidth=1, capsize=2)
-        sign = "" if colour == GREY or found.value < 0 else "+"
+        percent = round(100 * found.value, 1) + 0.0  # without the sign of a negative zero
         beyond = max(ends) + (100 * found.error if np.isfinite(found.error) else 0)
         axes.annotate(
-            f"{sign}{100 * found.value:.1f}",
+            f"{percent:.1f}" if colour == GREY else f"{percent:+.1f}",
             (beyond, row),
             xytext=(5, 0),
             textcoords="offset points",
@@ -84,15 +84,15 @@ def _draw_waterfall(axes: Axes, steps: list[tuple[str, Estimate, str]]) -> None:
         if row + 1 < len(steps):
             axes.plot([100 * level] * 2, [row + 0.31, row + 0.69], color=GREY, lw=0.7)
     _name_rows(axes, [label for label, _, _ in steps])
-    axes.set_xlim(right=axes.get_xlim()[1] * 1.12)
+    axes.set_xlim(right=axes.get_xlim()[1] * 1.18)
     axes.set_title("stages added alone to the least scene", fontsize=10)
 
 
 def _draw_alone(axes: Axes, result: BudgetResult) -> None:
     axes.axvline(0, color=GREY, lw=0.8)
     looks = (
-        ("removed_time", "removed from the whole scene", VERMILION, "o", -0.12),
-        ("added_time", "added to the least scene", BLUE, "s", 0.12),
+        ("removed_time", "removed", VERMILION, "o", -0.12),
+        ("added_time", "added", BLUE, "s", 0.12),
     )
     for name, label, colour, marker, shift in looks:
         found = [getattr(item, name) for item in result.costs]
@@ -101,7 +101,7 @@ def _draw_alone(axes: Axes, result: BudgetResult) -> None:
         bars = np.where(np.isfinite(error), error, 0)
         axes.errorbar(value, rows, xerr=bars, fmt=marker, color=colour, ms=4.5, elinewidth=1, capsize=2, label=label)
     _name_rows(axes, [item.row.title for item in result.costs])
-    axes.set_title("each stage alone", fontsize=10)
+    axes.set_title("each stage removed or added alone", fontsize=10)
     axes.set_ylim(bottom=axes.get_ylim()[0] + 0.9)  # room for the legend
     axes.legend(loc="lower center", ncols=2, **LEGEND)
 
