@@ -32,10 +32,10 @@ def place_line(summary: Content) -> str:
     """Define the two places of a stage, and its interaction."""
     name = label(summary["budget"]["metric"]["key"])
     return (
-        f"Removed alone: {name} of the whole scene over that without the stage. Added alone: {name} of the least scene"
-        " with the stage over that without it. Stages that need another one are removed with it, and a stage is added"
-        " with those that it needs. Interaction: the time that the stage costs in the whole scene less the time that it"
-        " costs in the least one."
+        f"Removed alone: {name} of the whole scene over that without the stage; both scenes lack stages that need it."
+        f" Added alone: {name} of the least scene with the stage over that without it; both scenes have the stages that"
+        " it needs. So noise costs what it costs without correlation, and its correlation has a row of its own."
+        " Interaction: the time that the stage costs in the whole scene less the time that it costs in the least one."
     )
 
 
