@@ -59,7 +59,7 @@ def budget(
     if forecast and resume:
         fail("--resume: found with --forecast, which keeps no points")
     given = options.settings(settings)
-    ready = load_budget(scene, given, metric=metric or SIGMA_KEY, pairs=pairs)
+    ready = load_budget(scene, given, metric=SIGMA_KEY if metric is None else metric, pairs=pairs)
     kind = "budget_forecast" if forecast else "budget"
     own: dict[str, Any] = {"budget.metric": metric} if metric else {}
     own |= {"budget.pairs": True} if pairs else {}

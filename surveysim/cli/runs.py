@@ -30,6 +30,7 @@ from surveysim.cli.sweep_options import (
     point_setup,
     refuse_for_sweep,
     refuse_keep_all,
+    refuse_reference,
     sweep_limits,
     sweep_limits_settings,
     sweep_work,
@@ -92,6 +93,7 @@ def run(
 ) -> None:
     """Simulate, clean, map and score a scene or a sweep."""
     with_engine = options.engine(engine, workers, scheduler)
+    refuse_reference(reference, point)
     sweep = sweep_of(scene, settings, reference)
     if keep_all:
         refuse_keep_all(scene, point, sweep is not None)

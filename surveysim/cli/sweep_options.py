@@ -74,6 +74,12 @@ def refuse_keep_all(scene: Path, point: int | None, is_sweep: bool) -> None:
         fail("--keep-all: found --point, whose run keeps all; one of the two is expected")
 
 
+def refuse_reference(reference: str | None, point: int | None) -> None:
+    """Raise SceneError for --reference with --point."""
+    if reference is not None and point is not None:
+        fail("--reference: found --point, whose run has no ratios; one of the two is expected")
+
+
 def point_setup(scene: Path, sweep: "Sweep | MultiBandSweep | None", number: int) -> "Setup":
     """Prepare the scene of a point; raises SceneError for one that the sweep does not have."""
     from surveysim.reduction.setup import prepare

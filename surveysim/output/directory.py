@@ -7,7 +7,6 @@ are never followed. Results are written to a temporary folder and moved to their
 
 import logging
 import os
-import re
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -18,7 +17,9 @@ from stat import S_ISDIR, S_ISREG
 from typing import Any
 
 from mapmaker.files import atomic_write
-from surveysim.output.lock import LOCK, OutputError, alive, locked
+from surveysim.output.file_names import INPUT, NEW, SAYS_ITSELF, UNFINISHED_WORK, WRITTEN
+from surveysim.output.lock import OutputError, locked
+from surveysim.output.partial_files import remove_partial_files
 from surveysim.output.record import (
     NOTHING,
     RECORD,
@@ -31,24 +32,7 @@ from surveysim.output.record import (
 from surveysim.scene.units import shown
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 
-NEW = ".surveysim.new"
 OTHERWISE = "--force replaces it, --out writes elsewhere"
-# The scene, and the tables that its keys of files name, with the suffix of the user's file.
-_SCENE = r"scene\.toml|(positions|passband|illumination|transmission|emissivity|opacity|spectrum)(_\d+)?(\.[\w-]+)?"
-# Names that any command writes: no other file is ever removed, even if the record lists it.
-_WRITTEN = re.compile(
-    rf"{_SCENE}|"
-    r"report\.html|(summary|scene)\.json|checkpoint\.h5|extremes\.ecsv"
-    r"|(sweep|sweep_pairs|forecast|accuracy|bands)\.ecsv|table\d+(_[a-z]+)?\.ecsv|figure\d+\.(png|ecsv)"
-    r"|(measurements|recovered)_[0-9]+\.ecsv|tables/\w+\.ecsv|maps/\w[\w.+~,=-]*\.fits|figures/\w+\.png"
-    r"|timestreams/\d+\.h5|scores\.npz|points/\d+(_\d+)?\.npz|points/\d+\.checkpoint\.h5|evaluations\.jsonl"
-)
-_SAYS_ITSELF = re.compile(  # they name their scene
-    r"checkpoint\.h5|points/\d+(_\d+)?\.npz|points/\d+\.checkpoint\.h5|evaluations\.jsonl"
-)
-_UNFINISHED_WORK = re.compile(rf"{_SAYS_ITSELF.pattern}|timestreams/\d+\.h5")
-_INPUT = re.compile(_SCENE)
-_PARTIAL = re.compile(r"(.+)\.(\d+)\.part")
 
 log = logging.getLogger("surveysim")
 
@@ -91,11 +75,11 @@ def claimed(directory: Path, results: Results, force: bool = False, resume: bool
     _make(directory)
     with locked(directory):
         place = _claim(directory, results, force, resume)
-        _remove_partial_files(place)
+        remove_partial_files(place.path, place.results.all_names)
         try:
             yield place
         finally:
-            _remove_partial_files(place)  # from killed workers
+            remove_partial_files(place.path, place.results.all_names)  # from killed workers
 
 
 def begin(place: OutputDirectory, removed: Callable[[str], bool]) -> None:
@@ -103,7 +87,7 @@ def begin(place: OutputDirectory, removed: Callable[[str], bool]) -> None:
     results = place.results
     stay = {name: known for name, known in place.mine.items() if name in results.inputs or not removed(name)}
     remove(place, place.mine.keys() - stay.keys())
-    coming = [name for name in results.names if results.piecewise or _UNFINISHED_WORK.fullmatch(name)]
+    coming = [name for name in results.names if results.piecewise or UNFINISHED_WORK.fullmatch(name)]
     inputs = {name: sha256(content).hexdigest() for name, content in results.inputs.items()}
     write_record(place.path, place.results, stay | dict.fromkeys(coming) | inputs, finished=False)
     for name, content in results.inputs.items():
@@ -135,7 +119,7 @@ def replacing(
 
 def _put_in_place(place: OutputDirectory, new: Path, over: Callable[[str], bool], whole: bool) -> None:
     written = {path.relative_to(new).as_posix(): _identity(path) for path in new.rglob("*") if path.is_file()}
-    work = [name for name in place.results.names if _UNFINISHED_WORK.fullmatch(name) and _is_written(place, name)]
+    work = [name for name in place.results.names if UNFINISHED_WORK.fullmatch(name) and _is_written(place, name)]
     files = written | {name: _identity(place.path / name) for name in work if not over(name)}
     gone = {name: place.mine.get(name) for name in (*place.mine, *work) if name not in files}
     write_record(place.path, place.results, files | gone, finished=False)
@@ -227,15 +211,15 @@ def _claim(path: Path, results: Results, force: bool, resume: bool) -> OutputDir
         raise OutputError(f"{path / RECORD}: not written by this program; {OTHERWISE}")
     record = record or NOTHING
     mine = {name: known for name, known in record["files"].items() if _is_mine(path, name, record["files"])}
-    started = record["finished"] or any(not _INPUT.fullmatch(name) for name in mine)
+    started = record["finished"] or any(not INPUT.fullmatch(name) for name in mine)
     if record is not NOTHING and started and not force:
         _check_same(path, results, record, resume)
         _check_unfinished(path, mine, record, resume=resume, same=record["sha256"] == results.sha256)
     if resume:
-        mine |= {name: None for name in results.names if _SAYS_ITSELF.fullmatch(name) and _may_be_removed(path, name)}
+        mine |= {name: None for name in results.names if SAYS_ITSELF.fullmatch(name) and _may_be_removed(path, name)}
     others = _others(path, results, mine, force)
     for name in record["files"].keys() - mine.keys() - others.keys():
-        if os.path.lexists(path / name) and _WRITTEN.fullmatch(name):
+        if os.path.lexists(path / name) and WRITTEN.fullmatch(name):
             log.warning("%s: changed since it was written; it stays", path / name)
     return OutputDirectory(path, results, mine, others)
 
@@ -266,7 +250,7 @@ def _check_unfinished(
     whole = record["finished"] and record.get("whole", CHECKPOINT not in mine)
     if resume and record["finished"] and ((whole and same) or not holds_work(path)):
         raise FinishedError(f"{path}: the run is finished; there is nothing to resume")
-    work = [name for name in mine if _UNFINISHED_WORK.fullmatch(name)]
+    work = [name for name in mine if UNFINISHED_WORK.fullmatch(name)]
     if not resume and work and not whole and (CHECKPOINT in work or not record["finished"]):
         raise OutputError(
             f"{path / work[0]}: from a run that has not finished; --resume goes on from there, --force starts anew, "
@@ -285,7 +269,7 @@ def _others(path: Path, results: Results, mine: Mapping[str, str | None], force:
             raise IsADirectoryError(EISDIR, "a folder where a file is to be written", str(path / name))
         if not force:
             what = "not written by this program, or changed since" if S_ISREG(state.st_mode) else "not a regular file"
-            hint = f"--resume goes on from there, {OTHERWISE}" if _UNFINISHED_WORK.fullmatch(name) else OTHERWISE
+            hint = f"--resume goes on from there, {OTHERWISE}" if UNFINISHED_WORK.fullmatch(name) else OTHERWISE
             raise OutputError(f"{path / name}: {what}; {hint}")
         found[name] = (state.st_ino, state.st_mtime_ns)
     return found
@@ -320,7 +304,7 @@ def _check_readable(directory: Path) -> None:
     """
     for folder, prefix in [(directory, "")] + [(directory / name, f"{name}/") for name in ("tables", "figures")]:
         for entry in os.scandir(folder) if folder.is_dir() else ():
-            if _WRITTEN.fullmatch(prefix + entry.name) and not entry.is_file() and not entry.is_dir():
+            if WRITTEN.fullmatch(prefix + entry.name) and not entry.is_file() and not entry.is_dir():
                 raise OutputError(f"{entry.path}: not a regular file; results are expected")
 
 
@@ -338,7 +322,7 @@ def _may_be_removed(path: Path, name: str) -> bool:
     """Return whether this is a regular file with a name that this program writes, not reached through a link."""
     folder = name.rpartition("/")[0]
     through_link = folder and (path / folder).is_symlink()
-    return bool(_WRITTEN.fullmatch(name)) and not through_link and is_regular(path / name)
+    return bool(WRITTEN.fullmatch(name)) and not through_link and is_regular(path / name)
 
 
 def _is_written(place: OutputDirectory, name: str) -> bool:
@@ -356,40 +340,3 @@ def _identity(path: Path) -> str:
         return f"{state.st_size} bytes, {state.st_mtime_ns} ns"
     with open(path, "rb") as file:
         return file_digest(file, "sha256").hexdigest()
-
-
-def _remove_partial_files(place: OutputDirectory) -> None:
-    """Remove partial files of processes that no longer exist, by the exact names of this command's files."""
-    _remove_folders(place.path)
-    listed = (read_record(place.path) or NOTHING)["files"]
-    known = {*listed, *place.results.all_names, RECORD}
-    for folder in {name.rpartition("/")[0] for name in known if _WRITTEN.fullmatch(name)} | {"timestreams", "points"}:
-        where = place.path / folder
-        for entry in os.scandir(where) if where.is_dir() and not where.is_symlink() else ():
-            match = _PARTIAL.fullmatch(entry.name)
-            if match is None or not entry.is_file(follow_symlinks=False):
-                continue
-            name = f"{folder}/{match[1]}".lstrip("/")
-            own = name in known or _UNFINISHED_WORK.fullmatch(name) or name.startswith(f"{LOCK}.")
-            if own and _is_over(int(match[2])):
-                Path(entry.path).unlink(missing_ok=True)
-
-
-def _remove_folders(path: Path) -> None:
-    """Remove temporary folders of results, except for files that others have put there."""
-    for entry in os.scandir(path):
-        match = _PARTIAL.fullmatch(entry.name)
-        if not match or match[1] != NEW or not entry.is_dir(follow_symlinks=False) or not _is_over(int(match[2])):
-            continue
-        for folder, _, names in os.walk(entry.path, topdown=False):
-            for file in (Path(folder) / name for name in names):
-                name = file.relative_to(entry.path).as_posix()
-                half = _PARTIAL.fullmatch(name)
-                if _WRITTEN.fullmatch(half[1] if half else name) and is_regular(file):
-                    file.unlink()
-            with suppress(OSError):  # other files in it stay
-                os.rmdir(folder)
-
-
-def _is_over(pid: int) -> bool:
-    return pid == os.getpid() or not alive(pid)  # this process writes nothing else here

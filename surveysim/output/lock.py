@@ -30,12 +30,12 @@ class OutputError(SceneError):
 
 
 @contextmanager
-def locked(directory: Path) -> Iterator[None]:
+def locked(directory: Path, *, level: int = logging.WARNING) -> Iterator[None]:
     """Hold the lock of a directory.
 
     The lock is a file that is created atomically with its content (a hard link), which is safe on network file systems
     too. A lock from this machine is taken over if its process no longer exists. A lock from another machine is never
-    taken over, as its process cannot be checked.
+    taken over, as its process cannot be checked. A lock that is taken over is logged at `level`.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def locked(directory: Path) -> Iterator[None]:
     own = None
     try:
         with defer_signals():  # an interrupt cannot leave a lock behind
-            own = _take(directory)
+            own = _take(directory, level)
         yield
     finally:
         if own is not None and _read(directory / LOCK) == own:
@@ -65,7 +65,7 @@ def alive(pid: int) -> bool:
     return (_status(pid) or "?")[0] not in "ZX"
 
 
-def _take(directory: Path) -> dict[str, Any]:
+def _take(directory: Path, level: int) -> dict[str, Any]:
     """Make the lock and return its content."""
     lock, own, tries = directory / LOCK, _holder(), 0
     while True:
@@ -78,7 +78,7 @@ def _take(directory: Path) -> dict[str, Any]:
             tries += 1
             sleep(_READ_AGAIN_S)
             continue
-        _refuse_or_remove(lock, found)
+        _refuse_or_remove(lock, found, level)
 
 
 def _make(lock: Path, own: Mapping[str, Any]) -> bool:
@@ -130,7 +130,7 @@ def _read(lock: Path) -> dict[str, Any] | None:
     return found if whole else None
 
 
-def _refuse_or_remove(lock: Path, found: Mapping[str, Any] | None) -> None:
+def _refuse_or_remove(lock: Path, found: Mapping[str, Any] | None, level: int) -> None:
     """Remove a lock whose process no longer exists; raises OutputError for any other."""
     if found is None:
         raise OutputError(f"{lock}: a lock that can't be read; delete it if no job writes to {lock.parent}")
@@ -144,7 +144,7 @@ def _refuse_or_remove(lock: Path, found: Mapping[str, Any] | None) -> None:
     if found["boot"] == own["boot"] and alive(found["pid"]) and _age(found["pid"]) == found["age"]:
         raise OutputError(f"{lock.parent}: in use by {who}; wait for its end, or write elsewhere with --out")
     if _remove_if_same(lock, found):
-        log.warning("%s: was in use by %s, which is gone; this job takes its place", lock.parent, who)
+        log.log(level, "%s: was in use by %s, which is gone; this job takes its place", lock.parent, who)
 
 
 def _remove_if_same(lock: Path, found: Mapping[str, Any]) -> bool:

@@ -38,7 +38,7 @@ def error_lines(path: Path, errors: Sequence[str]) -> str:
 
 def validation_lines(error: ValidationError, scene: type[BaseModel]) -> list[str]:
     """Return a line for each error that the schema `scene` finds in a file."""
-    found = _without_mistyped(error.errors(include_url=False, include_context=False))
+    found = _without_consequences(_without_mistyped(error.errors(include_url=False)))
     # A line quotes a value: of many errors only those that are shown are put into words.
     return [_line(item, scene) if number < MAX_ERRORS else "" for number, item in enumerate(found)]
 
@@ -53,6 +53,12 @@ def _without_mistyped(errors: Sequence[Any]) -> list[Any]:
         )
 
     return [item for item in errors if item["type"] != "missing" or not is_mistyped(item["loc"])]
+
+
+def _without_consequences(errors: Sequence[Any]) -> list[Any]:
+    """Drop lists that are too short because of items with errors of their own."""
+    lists = {item["loc"][:end] for item in errors for end in range(len(item["loc"])) if item["type"] != "too_short"}
+    return [item for item in errors if item["type"] != "too_short" or item["loc"] not in lists]
 
 
 def unknown_key(key: str, scene: type[BaseModel], hidden: Collection[str] = ()) -> str:
@@ -88,9 +94,19 @@ def _line(item: Any, scene: type[BaseModel]) -> str:
     elif item["type"] != "value_error":
         message = re.sub(r"^Input should be (greater|less)(.*)$", r"a number \1\2 is expected", message)
         message = re.sub(r"^Input should be ('.*')$", r"\1 is expected", message)
+        message = _number_of_items(item) or message
         allowed = _EXPECTED.get(item["type"], f"{message[0].lower()}{message[1:]}")
         message = f"found {shown(item['input'])}; {allowed}"
     return f"{key}: {message}" if key else message
+
+
+def _number_of_items(item: Any) -> str:
+    """Say how many items of a list are expected; empty for other errors."""
+    if item["type"] not in ("too_short", "too_long"):
+        return ""
+    limits = item["ctx"]
+    bound = f"{limits['min_length']} or more" if "min_length" in limits else f"{limits['max_length']} or fewer"
+    return f"{bound} items are expected, not {limits['actual_length']}"
 
 
 def allowed_keys(location: Sequence[str | int], scene: type[BaseModel]) -> list[str]:

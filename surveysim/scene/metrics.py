@@ -227,7 +227,7 @@ def _kind(value: Any) -> str:
 def _with_kind(value: Any) -> Any:
     """Raise ValueError for an entry without a known kind."""
     found = value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
-    if found not in _KINDS:
+    if not isinstance(found, str) or found not in _KINDS:
         expected = f"one of {', '.join(map(repr, _KINDS))} is expected"
         raise ValueError(f"kind: {'missing' if found is None else f'found {shown(found)}'}; {expected}")
     return value

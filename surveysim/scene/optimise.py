@@ -1,5 +1,6 @@
 """Section [optimise] with its knobs, derived keys and limits: a search for the best design."""
 
+import math
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -15,12 +16,14 @@ MOST_CHOICES = 12
 def _end(value: object) -> object:
     if not isinstance(value, int | float | str | None):
         raise ValueError(f"found {shown(value)}; a number, or a quantity in quotes, is expected")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"found {shown(value)}; a finite number is expected")
     return value
 
 
 def _frozen(value: object) -> object:
     """Make tuples of lists, as a scene is hashable."""
-    if isinstance(value, dict):
+    if not isinstance(value, int | float | str | list | tuple):
         raise ValueError(f"found {shown(value)}; a number, a text or a list of these is expected")
     return tuple(map(_frozen, value)) if isinstance(value, list | tuple) else value
 
@@ -104,6 +107,7 @@ class Optimise(Section):
     @model_validator(mode="after")
     def _each_key_once(self) -> Self:
         keys = [item.key for item in self.knobs] + [item.key for item in self.derived]
-        if repeated := [key for key in keys if keys.count(key) > 1]:
-            raise ValueError(f"knobs: found {repeated[0]!r} more than once; every key once is expected")
+        for name, found in (("knobs", keys), ("metrics", self.metrics)):
+            if repeated := [key for key in found if found.count(key) > 1]:
+                raise ValueError(f"{name}: found {repeated[0]!r} more than once; every key once is expected")
         return self

@@ -111,7 +111,7 @@ class Glitches(Section):
     """Glitches of the amplitude A are A to minus this power in number, for equal steps of A. Required with
     `largest_amplitude`."""
     decay_time_s: DurationExtent = Field(alias="decay_time")
-    """Time in which a glitch decays by a factor e; 0 for single samples."""
+    """Time in which a glitch decays by a factor e, a scan or shorter; 0 for single samples."""
     found: Share | None = None
     """Fraction of the glitches that is found and flagged, whatever their size. Alternative: `threshold`."""
     threshold: Annotated[float, *number(0.1, 1e6)] | None = None

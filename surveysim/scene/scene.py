@@ -156,13 +156,18 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
         return self
 
     def _readout_fits(self) -> None:
-        """Raise ValueError for lines that samples do not resolve, and for levels relative to noise that is left out."""
+        """Raise ValueError for frequencies and times that scans do not resolve, and levels relative to absent noise."""
         for number, line in enumerate(self.lines):
             if line.frequency_hz > self.scan.sample_rate_hz / 2:
                 raise ValueError(
                     f"lines[{number}].frequency: found {line.frequency_hz:g} Hz; half of scan.sample_rate,"
                     f" {self.scan.sample_rate_hz / 2:g} Hz, or less is expected"
                 )
+        if self.glitches and self.glitches.decay_time_s > self.scan.duration_s:
+            raise ValueError(
+                f"glitches.decay_time: found {self.glitches.decay_time_s:g} s; {self.scan.duration_s:g} s or less is"
+                " expected, scan.duration"
+            )
         if self.photon or self.detector:
             return
         for name, part in self.readout_noise.parts.items() if self.readout_noise else ():

@@ -4,13 +4,16 @@ import json
 import math
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
+
+from pydantic import model_validator
 
 from surveysim import __version__
 from surveysim.runtime.engine import SERIAL, Engine, ordered_map
 from surveysim.runtime.errors import InputError
 from surveysim.studies.optimise.evaluation import Evaluation
 from surveysim.studies.optimise.problem import Places, Problem
+from surveysim.studies.sweep.point_metrics import Numbers
 from surveysim.survey.checkpoint import CheckpointError
 
 FILE = "evaluations.jsonl"
@@ -20,6 +23,37 @@ Progress = Callable[["EvaluationStore"], None]
 
 class SpentError(InputError):
     """The search has had all its evaluations."""
+
+
+class _Kept(Numbers):
+    """A line of the file."""
+
+    key: str
+    settings: dict[str, Any]
+    metrics: dict[str, float]
+    units: dict[str, str]
+    lower: dict[str, bool]
+    margins: list[float]
+    discarded: float | None
+    flags: list[str]
+    reason: str
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> Self:
+        if bool(self.metrics) == bool(self.reason):
+            raise ValueError("metrics, or a reason for none, are expected")
+        return self
+
+    @property
+    def evaluation(self) -> Evaluation:
+        """The forecast of the design."""
+        content = {name: value for name, value in self if name not in ("key", "discarded", "margins", "flags")}
+        return Evaluation(
+            **content,
+            margins=tuple(self.margins),
+            discarded=math.nan if self.discarded is None else self.discarded,
+            flags=tuple(self.flags),
+        )
 
 
 class EvaluationStore:
@@ -132,17 +166,18 @@ def _read(path: Path, identity: str) -> dict[str, Evaluation]:
     try:
         head = json.loads(lines[0])
         other = head["search"] != identity or head["surveysim"] != __version__
+        kept = [] if other else [_Kept.model_validate(item) for item in _whole_lines(lines[1:])]
     except (IndexError, ValueError, KeyError, TypeError):
         raise CheckpointError(f"{path}: damaged; start anew with --force, or write elsewhere with --out") from None
     if other:
         raise CheckpointError(f"{path}: from another search; start anew with --force, or write elsewhere with --out")
-    found = {}
-    for line in lines[1:]:
-        try:
-            content = json.loads(line)
-        except ValueError:
-            break
-        key, discarded = content.pop("key"), content.pop("discarded")
-        content |= {name: tuple(content[name]) for name in ("margins", "flags")}
-        found[key] = Evaluation(**content, discarded=math.nan if discarded is None else discarded)
-    return found
+    return {item.key: item.evaluation for item in kept}
+
+
+def _whole_lines(lines: list[str]) -> list[Any]:
+    """Contents of lines, without a last one that is in part; ValueError for any other."""
+    try:
+        last = [json.loads(line) for line in lines[-1:]]
+    except ValueError:
+        last = []
+    return [json.loads(line) for line in lines[:-1]] + last

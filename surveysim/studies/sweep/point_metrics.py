@@ -104,6 +104,11 @@ def check_metrics(metrics: MetricResults, scene: Scene, data_sets: set[str], n_b
     keys = list(metric_keys(scene.score.metrics))
     if set(metrics) != data_sets or any(list(found) != keys for found in metrics.values()):
         raise ValueError("other metrics than the scene's")
+    check_responses(metrics, n_bin)
+
+
+def check_responses(metrics: MetricResults, n_bin: int) -> None:
+    """Raise ValueError for responses of other shapes than the bins, and for errors without a response."""
     for name, array in metric_arrays(metrics):
         if array.shape != (n_bin,) or array.dtype != float:
             raise ValueError(f"{name} has the shape {array.shape} of {array.dtype}")

@@ -28,6 +28,7 @@ from surveysim.studies.sweep.point_metrics import (
     Metric,
     Numbers,
     check_metrics,
+    check_responses,
     metric_arrays,
     metric_numbers,
     read_metrics,
@@ -148,7 +149,13 @@ def load_run(path: Path) -> tuple[PointResult, str, str]:
     """
     with _opened(path) as file:
         meta = _Meta.model_validate(read_meta(str(file["meta"])))
-        return _result(file, meta), meta.scene, meta.version
+        result = _result(file, meta)
+        if ACTUAL not in result.scores:
+            raise ValueError("no score of the actual data")
+        actual = result.scores[ACTUAL]
+        _check_arrays(result, len(actual.noise_psds), len(actual.transfer_function.deviations))
+        check_responses(result.metrics, actual.signal_psd.size)
+        return result, meta.scene, meta.version
 
 
 def load_point(path: Path, point: Point, observations: int) -> PointResult:
@@ -267,10 +274,15 @@ def _check_point(result: PointResult, point: Point, observations: int) -> None:
         raise ValueError(f"no data set of the scene: {others[0]}")
     n_bin = {len(item.signal_psd) for item in result.scores.values()}
     check_metrics(result.metrics, point.scene, set(result.scores), max(n_bin, default=0))
-    n_obs, skies = observations, score.signal_sims.skies
-    if result.observations != n_obs:
-        raise ValueError(f"{result.observations} observations, not {n_obs}")
-    sizes = {"noise_psds": (score.jackknives, *n_bin), "transfer_function.deviations": (skies, *n_bin)}
+    if result.observations != observations:
+        raise ValueError(f"{result.observations} observations, not {observations}")
+    _check_arrays(result, score.jackknives, score.signal_sims.skies)
+
+
+def _check_arrays(result: PointResult, jackknives: int, skies: int) -> None:
+    """Raise ValueError for arrays that do not fit each other."""
+    n_obs, n_bin = result.observations, {item.signal_psd.size for item in result.scores.values()}
+    sizes = {"noise_psds": (jackknives, *n_bin), "transfer_function.deviations": (skies, *n_bin)}
     sizes |= dict.fromkeys(("weights", "control.weights"), (n_obs,))
     sizes |= dict.fromkeys(("bin_noise", "control.noise"), (n_obs, *n_bin))
     for name, item in result.scores.items():

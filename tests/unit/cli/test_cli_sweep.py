@@ -87,6 +87,8 @@ def test_one_point_of_a_sweep(call, sweep, monkeypatch):
     error = refused(call, sweep, "--point", 2)
     assert error == f"{sweep}: --point: found 2; the number of a point, 0 to 1, is expected\n"
     assert "--keep-all: found --point, whose run keeps all" in refused(call, sweep, "--point", 1, "--keep-all")
+    error = refused(call, sweep, "--point", 1, "--reference", 0)
+    assert error == "--reference: found --point, whose run has no ratios; one of the two is expected\n"
     sweep.write_text(SMALL_SCENE)
     assert "--point: found a scene without [sweep]; a sweep of one" in refused(call, sweep, "--point", 1)
     assert "--keep-all: found a scene without [sweep]; a sweep is" in refused(call, sweep, "--keep-all")

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from surveysim.output.directory import NEW, FinishedError, begin, claimed, remove, renewed, replacing
-from surveysim.output.lock import LOCK, OutputError
+from surveysim.output.directory import FinishedError, begin, claimed, remove, renewed, replacing
+from surveysim.output.file_names import NEW
+from surveysim.output.lock import LOCK, OutputError, locked
 from surveysim.output.record import RECORD, Results
 
 NAMES = ("summary.json", "maps/actual.fits", "figures/map.png", "checkpoint.h5", "timestreams/0000.h5")
@@ -455,3 +456,17 @@ def test_a_report_of_the_user_is_not_renewed(tmp_path):
     with renewed(tmp_path, "report.html", force=True):
         put(tmp_path, {"report.html": "anew"})
     assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html"]
+
+
+def test_leftovers_of_writers_of_points_that_are_gone(tmp_path, caplog):
+    """Their folders, partial files and locks; not files of the user, nor those of a writer at work."""
+    with locked(tmp_path):
+        holder = json.loads((tmp_path / LOCK).read_text()) | {"pid": GONE}
+    put(tmp_path / "points/0", {f"{NEW}.{GONE}.part/tables/weights.ecsv.{GONE}.part": "half", LOCK: json.dumps(holder)})
+    put(tmp_path / "points/1", {f"{RECORD}.{GONE}.part": "half", "movie.1.part": "mine"})
+    put(tmp_path / "points/2", {f"{NEW}.{GONE}.part/summary.json": "of a writer at work"})
+    with locked(tmp_path / "points/2"):
+        written(tmp_path)
+    left = {path.relative_to(tmp_path / "points").as_posix() for path in (tmp_path / "points").rglob("*")}
+    assert not caplog.messages
+    assert left == {"0", "1", "1/movie.1.part", "2", f"2/{NEW}.{GONE}.part", f"2/{NEW}.{GONE}.part/summary.json"}

@@ -5,7 +5,6 @@ import json
 import pytest
 
 from surveysim import load_scene, load_sweep, run
-from surveysim.output.directory import _WRITTEN
 from surveysim.output.expected_files import (
     EXTREMES,
     accuracy_settings,
@@ -15,6 +14,7 @@ from surveysim.output.expected_files import (
     of_run,
     of_sweep,
 )
+from surveysim.output.file_names import WRITTEN
 from surveysim.output.record import RECORD
 from surveysim.paper.scenes import FIGURES, SCENES, TABLES
 from surveysim.reduction.setup import prepare
@@ -43,7 +43,7 @@ def test_every_name_may_be_removed(path):
     sweep = load_sweep(path)
     found += [of_sweep(sweep, "run", True), of_sweep(sweep, "forecast", True)]
     names = [name for results in found for name in results.all_names]
-    assert len(names) > 100 and not [name for name in names if not _WRITTEN.fullmatch(name)]
+    assert len(names) > 100 and not [name for name in names if not WRITTEN.fullmatch(name)]
 
 
 def test_a_run_writes_no_other_file(path, tmp_path):

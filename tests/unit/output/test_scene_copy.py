@@ -6,7 +6,7 @@ import pytest
 
 from surveysim import load_scene, load_sweep
 from surveysim.cli.options import setting
-from surveysim.output.directory import _INPUT, _WRITTEN
+from surveysim.output.file_names import INPUT, WRITTEN
 from surveysim.output.scene_copy import SCENE_FILE, scene_files, sweep_files
 from surveysim.scene.keys import file_keys
 from surveysim.scene.scene import scene_hash
@@ -96,8 +96,8 @@ def test_a_table_comes_along(tmp_path):
 def test_a_directory_knows_the_copies_of_all_tables(key, suffix):
     """A new run replaces them, as it does all that this program writes."""
     for name in (key.rpartition(".")[2], f"{key.rpartition('.')[2]}_12"):
-        assert _WRITTEN.fullmatch(name + suffix) and _INPUT.fullmatch(name + suffix)
-        assert not _WRITTEN.fullmatch(f"{name}s{suffix}")
+        assert WRITTEN.fullmatch(name + suffix) and INPUT.fullmatch(name + suffix)
+        assert not WRITTEN.fullmatch(f"{name}s{suffix}")
 
 
 def test_a_scene_that_was_changed_in_python_has_no_file(tmp_path):

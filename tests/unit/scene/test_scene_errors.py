@@ -1,6 +1,7 @@
 """Every wrong input gives a SceneError that says which file, which key, what was found, what is allowed."""
 
 import math
+from datetime import date
 
 import pytest
 
@@ -425,3 +426,46 @@ def test_one_brightness_of_a_source(path):
         source = place | {key: value for key, value in keys.items() if value is not None}
         text = scene_refusal(path, {"sky.point_sources": [source]})
         assert "sky.point_sources.0" in text and all(word in text for word in words) and "\n" not in text
+
+
+@pytest.mark.parametrize(
+    "key, found, line",
+    [
+        ("score.metrics", [{"kind": []}], "score.metrics.0.kind: found []; one of 'band_powers', "),
+        (
+            "score.metrics",
+            [{"kind": "band_powers", "edges": [4000, math.nan], "spectrum": "flat", "band_power": "1 uK2"}],
+            "score.metrics.0.edges.1: found nan; an integer is expected",
+        ),
+        (
+            "score.metrics",
+            [{"kind": "band_powers", "edges": [4000], "spectrum": "flat", "band_power": "1 uK2"}],
+            "score.metrics.0.edges: found [4000]; 2 or more items are expected, not 1",
+        ),
+        ("optimise", {"knobs": []}, "optimise.knobs: found []; 1 or more items are expected, not 0"),
+        ("optimise", {"knobs": [3]}, "optimise.knobs.0: found 3; a section is expected"),
+        (
+            "optimise",
+            {"knobs": [{"key": "scan.scans", "low": 2, "high": math.inf}]},
+            "optimise.knobs.0.high: found inf; a finite number is expected",
+        ),
+        (
+            "optimise",
+            {"knobs": [{"key": "scan.scans", "choices": [2, date(2026, 1, 1)]}]},
+            "optimise.knobs.0.choices: found 2026-01-01; a number, a text or a list of these",
+        ),
+        (
+            "optimise",
+            {"metrics": ["detectors"] * 2, "knobs": [{"key": "scan.scans", "low": 2, "high": 3}]},
+            "optimise.metrics: found 'detectors' more than once; every key once is expected",
+        ),
+        (
+            "optimise",
+            {"metrics": list("abc"), "knobs": [{"key": "scan.scans", "low": 2, "high": 3}]},
+            "optimise.metrics: found ['a', 'b', 'c']; 2 or fewer items are expected, not 3",
+        ),
+    ],
+)
+def test_items_of_lists_have_one_line(path, key, found, line):
+    (said,) = scene_refusal(path, {key: found}).splitlines()
+    assert said.startswith(line)

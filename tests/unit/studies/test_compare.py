@@ -80,6 +80,29 @@ def test_directories_without_scores(sweep, alone, tmp_path):
     assert "damaged" in found.unpaired(2) and found.unpaired(3) == "its scores.npz is of another run"
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"actual/noise_psds": lambda found: found[:, :2]},
+        {"actual/weights": lambda found: found[:1]},
+        {"actual/weights": lambda found: found.astype(str)},
+        {"actual/signal_psd": lambda found: found[:1]},
+        {"actual/transfer_function.deviations": lambda found: found[0]},
+        {"actual/bin_noise": lambda found: found[..., None]},
+        {"actual/noise_psds": lambda found: found * np.nan},
+        {"actual/metrics/largest_scale.ell/quoted.noise": lambda found: found[:1]},
+    ],
+    ids=lambda change: next(iter(change)),
+)
+def test_arrays_that_do_not_fit_are_damage(alone, tmp_path, change):
+    shutil.copytree(alone[0], tmp_path / "changed")
+    with np.load(tmp_path / "changed" / "scores.npz") as file:
+        content = dict(file)
+    content |= {name: do(content[name]) for name, do in change.items()}
+    np.savez(tmp_path / "changed" / "scores.npz", **content)
+    assert "damaged (" in compare([alone[0], tmp_path / "changed"]).unpaired(1)
+
+
 def test_other_versions_are_independent(alone, tmp_path, monkeypatch):
     """Random numbers of versions may differ."""
     shutil.copytree(alone[0], tmp_path / "later")

@@ -1,5 +1,6 @@
 """The search for the best design, on functions with known optima: no scene is forecast."""
 
+import json
 import math
 
 import numpy as np
@@ -235,6 +236,32 @@ def test_evaluations_of_another_search(write, tmp_path):
     store.path.write_text("nothing")
     with pytest.raises(CheckpointError, match="damaged"):
         store.resume()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "3",
+        "{}",
+        '{"key": "{}"}',
+        '"metrics": {"x": "y"}',
+        '"margins": ["a"]',
+        '"metrics": {}',
+        '"flags": 3',
+        '"key": 3',
+    ],
+)
+def test_damaged_evaluations(write, tmp_path, line):
+    store = search_of(write, lambda x: x, SPEED, path=tmp_path / "evaluations.jsonl")
+    store.begin()
+    store.at((0.5,))
+    whole = store.path.read_text()
+    if not line.startswith(("{", "3")):  # a field of an evaluation
+        line = json.dumps(json.loads(whole.splitlines()[1]) | json.loads(f"{{{line}}}"))
+    for text in (f"{whole}{line}\n", f"{whole}half a line\n{line}"):
+        store.path.write_text(text)
+        with pytest.raises(CheckpointError, match="damaged"):
+            store.resume()
 
 
 # ---------------------------------------------------------------- the section

@@ -233,6 +233,10 @@ def test_effects_may_be_zero(make):
         (GLITCHES + "threshold = 5\n", "exactly one of 'found' and 'threshold'"),
         (GLITCHES.replace("5000 mK", "50 mK"), "largest_amplitude: found 50 mK; more than 'amplitude', 50 mK, is exp"),
         (GLITCHES.replace('largest_amplitude = "5000 mK"', ""), "slope: found without 'largest_amplitude'"),
+        (
+            '[glitches]\nrate = "1 Hz"\namplitude = "1 mK"\ndecay_time = "10 day"\nfound = 1\n',
+            "glitches.decay_time: found 864000 s; 6 s or less is expected, scan.duration",
+        ),
         (GLITCHES.replace("slope = 1.5", ""), "slope: missing; 'largest_amplitude' needs it"),
         (
             '[dropped_samples]\nrate="1 / h"\nlength="1 s"\nshared="array"\ngroup_size=3\n',

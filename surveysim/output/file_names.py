@@ -1,0 +1,20 @@
+"""Names of the files that commands write."""
+
+import re
+
+NEW = ".surveysim.new"  # begins the name of a temporary folder of results
+# The scene, and the tables that its keys of files name, with the suffix of the user's file.
+_SCENE = r"scene\.toml|(positions|passband|illumination|transmission|emissivity|opacity|spectrum)(_\d+)?(\.[\w-]+)?"
+# Names that any command writes: no other file is ever removed, even if the record lists it.
+WRITTEN = re.compile(
+    rf"{_SCENE}|"
+    r"report\.html|(summary|scene)\.json|checkpoint\.h5|extremes\.ecsv"
+    r"|(sweep|sweep_pairs|forecast|accuracy|bands)\.ecsv|table\d+(_[a-z]+)?\.ecsv|figure\d+\.(png|ecsv)"
+    r"|(measurements|recovered)_[0-9]+\.ecsv|tables/\w+\.ecsv|maps/\w[\w.+~,=-]*\.fits|figures/\w+\.png"
+    r"|timestreams/\d+\.h5|scores\.npz|points/\d+(_\d+)?\.npz|points/\d+\.checkpoint\.h5|evaluations\.jsonl"
+)
+SAYS_ITSELF = re.compile(  # they name their scene
+    r"checkpoint\.h5|points/\d+(_\d+)?\.npz|points/\d+\.checkpoint\.h5|evaluations\.jsonl"
+)
+UNFINISHED_WORK = re.compile(rf"{SAYS_ITSELF.pattern}|timestreams/\d+\.h5")
+INPUT = re.compile(_SCENE)
