@@ -69,8 +69,9 @@ def test_scores_are_the_same(surveys):
 def test_central_blocks_tell_what_pipelines_leave_of_a_source(tmp_path, scans, blocks):
     """The blocks that reach the centre of the map stand for the observation: within 2 % of a source's power.
 
-    Seeds differ by dither and by fits of responsivities. A source at the edge of its block would differ by 8 %, with a
-    scatter of 13 % from seed to seed.
+    Seeds differ by dither and by fits of responsivities: over 60 of them the scatter is 5 % in the lowest bin, which 12
+    seeds measure to a fifth. A source at the edge of its block would differ by 8 %, with a scatter of 13 % from seed to
+    seed.
     """
     path, found = write_scene(tmp_path), []
     settings = {"cleaning.compare": ["planar"], "scan.scans": scans}
@@ -84,5 +85,5 @@ def test_central_blocks_tell_what_pipelines_leave_of_a_source(tmp_path, scans, b
         whole, central = (transfer_functions(setup)[0, 1, 2:] for setup in setups)
         found.append(np.log(central / whole))
     scatter = np.std(found, axis=0, ddof=1)
-    assert (scatter < 0.05).all()
+    assert (scatter < 0.05 * (1 + 3 / np.sqrt(2 * (N_SEEDS - 1)))).all()
     assert (np.abs(np.mean(found, axis=0)) < 0.02 + 3 * scatter / np.sqrt(N_SEEDS)).all()

@@ -12,6 +12,7 @@ from surveysim.metrics.map_noise import Quantity, noise_of_forecast
 from surveysim.metrics.registry import metric_functions
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.setup import Setup, prepare
+from surveysim.results.control_variate import weather_factors
 from surveysim.runtime.errors import InputError, NotForecastableError
 from surveysim.scene.metrics import metric_keys
 from surveysim.scene.scene import Scene
@@ -114,8 +115,8 @@ def _without_others(scene: Scene) -> Scene:
 
 
 def metric_quantities(setup: Setup, expected: Forecast) -> dict[str, Quantity]:
-    """Metrics of the actual data by key, in the weather drawn, which designs have in common."""
-    noise = noise_of_forecast(setup, expected.scores[ACTUAL])
+    """Metrics of the actual data by key: over all weather, as a run quotes them, if that can be forecast."""
+    noise = noise_of_forecast(setup, expected.scores[ACTUAL], weather_factors(setup).get(ACTUAL, 1.0))
     functions = metric_functions(setup.scene.score)
     return {f"{name}.{item.name}": item for name, function in functions.items() for item in function(noise)}
 

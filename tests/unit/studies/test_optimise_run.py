@@ -10,8 +10,10 @@ from astropy.table import Table
 import surveysim
 from surveysim import FinishedError, OutputError, SceneError, optimise
 from surveysim.output.record import RECORD
+from surveysim.reduction.setup import prepare
 from surveysim.report.html.page import write_report
 from surveysim.report.terminal.optimum import print_optimum
+from surveysim.results.metrics import forecast_metrics
 from surveysim.runtime.engine import SERIAL
 from surveysim.studies.optimise.evaluation import EvaluationJob
 from surveysim.studies.optimise.problem import load_problem
@@ -184,7 +186,8 @@ def test_the_actual_data_do_not_depend_on_other_data_sets(write):
     """Evaluations leave out noise-only and masked data sets; the forecast is that of the command."""
     path = write(SMALL_SCENE + FRONT)
     own = EvaluationJob(load_problem(path))({"instrument.layout.rings": 2})
-    assert own.metrics[SIGMA] == surveysim.forecast(path).scores["actual"].band.sigma_ukcmb2
+    setup = prepare(surveysim.load_scene(path))
+    assert own.metrics[SIGMA] == forecast_metrics(setup, surveysim.forecast(path))["actual"][SIGMA].value
 
 
 @pytest.mark.parametrize(
