@@ -119,7 +119,7 @@ def test_a_finished_search_is_not_resumed(analytic):
         optimise(result.problem, out, engine=SERIAL, resume=True)
     other = result.problem.path
     with pytest.raises(OutputError, match="with other settings"):
-        optimise(other, out, overrides={"optimise.evaluations": 50}, engine=SERIAL)
+        optimise(other, out, overrides={"observations": 5}, engine=SERIAL)
 
 
 def test_simulation_after_a_forecast(write, tmp_path):
