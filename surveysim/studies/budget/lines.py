@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from surveysim.results.metric_tables import label
-from surveysim.runtime.numbers import joined, number
+from surveysim.runtime.numbers import joined, plural
 from surveysim.studies.budget.costs import FLAT, SMALL
 from surveysim.studies.budget.tables import NOT_COMPARABLE, time_text
 
@@ -20,11 +20,11 @@ def measure_line(summary: Content) -> str:
     name, power = label(metric["key"]), metric["exponent"]
     if power is None or abs(power) < FLAT:
         return f"{name} does not depend on the noise, so that costs have no survey time."
-    how = "" if power == 1 else f" to the power {number(power)}"
+    how = "" if power == 1 else f" to the power {power:.3g}"
     return (
         f"Times are survey times that give the same {name}, as shares of the whole scene's. {name} goes as the noise"
-        f" power of the map{how}, which goes as one over the survey time. The powers of independent noises add up, and"
-        f" so do times; ratios do not.{'' if summary['kind'] == 'simulated' else OF_FORECASTS}"
+        f" power of the map{how}; the noise power goes as one over the survey time. The powers of independent noises"
+        f" add up, and so do times; ratios do not.{'' if summary['kind'] == 'simulated' else OF_FORECASTS}"
     )
 
 
@@ -104,11 +104,15 @@ def reason_lines(summary: Content) -> Iterator[str]:
 
 
 def flag_lines(summary: Content) -> Iterator[str]:
-    """Yield each flag of a forecast once, with the first point that has it."""
-    seen: dict[str, str] = {}
-    for point in summary["budget"]["points"]:
-        for sentence in point["forecast_flags"]:
-            seen.setdefault(sentence, point["label"])
-    if summary["kind"] != "simulated":
-        for sentence, label in seen.items():
-            yield f"the forecast ({label}) may be off. {sentence}"
+    """Yield the flags of the first forecast that has some, and name the other points that have flags."""
+    flagged = [point for point in summary["budget"]["points"] if point["forecast_flags"]]
+    if summary["kind"] == "simulated" or not flagged:
+        return
+    first, *others = flagged
+    for sentence in first["forecast_flags"]:
+        yield f"the forecast ({first['label']}) may be off. {sentence}"
+    if others:
+        yield (
+            f"the forecasts of {plural(len(others), 'other point')} may be off, too; forecast_flags of summary.json"
+            " have the reasons."
+        )
