@@ -8,7 +8,7 @@ from surveysim.forecasting.noise_bins import NoiseBins
 from surveysim.forecasting.observing_conditions import ObservingConditions
 from surveysim.telescope.pixel_coherence import part_weights
 from surveysim.telescope.scans import samples_per_scan
-from surveysim.timestreams.glitches import missed_moment, missed_psd
+from surveysim.timestreams.glitches import glitch_psd, kept_power
 from surveysim.timestreams.lines import line_components
 from surveysim.timestreams.low_frequency import excess_psd
 from surveysim.timestreams.readout_noise import red_psd, trend_variance
@@ -88,14 +88,14 @@ def microphonic_lines(of: NoiseBins) -> Noise:
     return lambda conditions: np.tile(bins, (len(conditions.white), 1))
 
 
-def missed_glitches(of: NoiseBins) -> Noise:
-    """Glitches that are not found."""
+def glitches(of: NoiseBins) -> Noise:
+    """Glitches that are not found, and the tails of those that are."""
     section, n, rate = of.scene.glitches, 2 * samples_per_scan(of.scans), of.scans.sample_rate_hz
     at_hz = rate / n * np.arange(1, n // 2 + 1)
-    bins = of.readout(*_both_signs(at_hz, missed_psd(section, at_hz, rate) * rate / n), None)
+    bins = of.readout(*_both_signs(at_hz, glitch_psd(section, at_hz, rate) * rate / n), None)
 
     def noise(conditions: ObservingConditions) -> np.ndarray:
-        return np.outer(missed_moment(section, conditions.white + conditions.shared, rate, 2), bins)
+        return np.outer(kept_power(section, conditions.white + conditions.shared, rate), bins)
 
     return noise
 
@@ -115,7 +115,7 @@ CLOSED_FORMS: dict[str, tuple[ClosedForm, ...]] = {
     "sky": (),
     "readout_noise": (readout_noise,),
     "lines": (microphonic_lines,),
-    "glitches": (missed_glitches,),
+    "glitches": (glitches,),
     "dropped_samples": (),
     "dead_time": (),
 }

@@ -65,4 +65,4 @@ def _note(region: ScoredMap) -> str:
     """Limits of the metric: confusion, and multipoles that the score leaves out."""
     highest = region.edges_ell[1:][region.selected][-1]
     lost = float(np.exp(-(highest**2) * region.beam_sr / (2 * np.pi)))  # of the integral of the squared beam
-    return "without confusion" + f"; ell_max leaves out {lost:.0%} of the beam's power" * (lost > _UNSEEN)
+    return "without confusion" + f"; score.ell_max leaves out {100 * lost:.0f} % of the beam's power" * (lost > _UNSEEN)

@@ -173,8 +173,9 @@ def write_optimum(directory: Path, result: OptimiseResult, figures: bool) -> Non
             tables["simulated_pairs"] = pair_table(of_pairs)
     there = {name: table for name, table in tables.items() if table is not None}
     written = [_write_table(directory / "tables" / f"{name}.ecsv", table) for name, table in there.items()]
-    written.append(write_text(directory / "scene.json", resolved(result.problem.scene) + "\n"))
-    content |= {"left_out": left_out(prepare(result.problem.scene))}
+    setup = prepare(result.problem.scene)
+    written.append(write_text(directory / "scene.json", resolved(setup.scene) + "\n"))
+    content |= {"left_out": left_out(setup)}
     write_summary(directory, content, written, partial(_of_optimum, result) if figures else None)
 
 

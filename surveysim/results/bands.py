@@ -86,7 +86,7 @@ def _run_entry(item: SurveyResult) -> dict[str, Any]:
     entry |= {"observations": item.coadds.done, "stopped": item.stopped}
     entry |= {
         "discarded": item.discards.shares[ACTUAL],
-        "warnings": [*design_warnings(item.setup), *item.discards.warnings],
+        "warnings": [*design_warnings(item.setup), *item.warnings],
     }
     if item.unscored:
         entry["unscored"] = item.unscored
@@ -179,6 +179,6 @@ def multi_band_summary(result: MultiBandResult) -> dict[str, Any]:
         "scene_sha256": bands_hash(result.scenes),
         "observations_of_survey": first.setup.scene.observations,
         "bands": run_entries(result),
-        "warnings": [f"{name}: {line}" for name, item in result.bands.items() for line in item.discards.warnings],
+        "warnings": [f"{name}: {line}" for name, item in result.bands.items() for line in item.warnings],
         "run": {"engine": result.engine, "workers": result.workers, "wall_s": result.wall_s},
     }

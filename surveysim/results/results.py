@@ -33,6 +33,7 @@ from surveysim.survey.coadds import CoAdds
 from surveysim.survey.discarded_scans import Discards, discards
 from surveysim.survey.error_modes import Gain
 from surveysim.survey.scores import DataSetScore, flux_removed
+from surveysim.survey.signal_coverage import signal_coverage_warnings
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -123,6 +124,11 @@ class SurveyResult:
     def discards(self) -> Discards:
         """Shares of discarded scans."""
         return discards(self.setup, self.coadds)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Lines on discarded scans and on the coverage of the signal simulations."""
+        return [*self.discards.warnings, *signal_coverage_warnings(self.setup.analysis, self.coadds)]
 
     @property
     def estimate(self) -> Estimate | None:

@@ -48,7 +48,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "scans_discarded": int(columns[f"discarded_{ACTUAL}"].sum()),
         "discarded": result.discards.shares,
         "discarded_by_weather": result.discards.by_weather,
-        "warnings": [*design_warnings(setup), *result.discards.warnings, *saturation_warnings(sensed)],
+        "warnings": [*design_warnings(setup), *result.warnings, *saturation_warnings(sensed)],
         "mean_iterations": float(columns[f"iterations_{ACTUAL}"].mean()),
         "cleaning": {item.data_set: _cleaning_entry(item, result, columns) for item in setup.analysis.pipelines},
         "stopped": _stopped_entry(result),

@@ -76,12 +76,12 @@ class Limit(Section):
     """A bound on a quantity of each design."""
 
     quantity: Line
-    """Expression as in `[[optimise.derived]]`, that may also use `detectors`, `field_of_view`, `data_rate` (samples a
-    second of all detectors), `observing_time` (of the survey, with turnarounds), and the keys of metrics."""
+    """Expression as in `[[optimise.derived]]`, that may also use `detectors`, `field_of_view`, `data_rate` (samples of
+    all detectors in a time, in Hz), `observing_time` (of the survey, with turnarounds), and the keys of metrics."""
     at_least: End = None
-    """Lowest value allowed."""
+    """Lowest value allowed, with a unit if the quantity has one."""
     at_most: End = None
-    """Highest value allowed."""
+    """Highest value allowed, with a unit if the quantity has one, such as "4000 Hz" for a data rate."""
 
     @model_validator(mode="after")
     def _has_a_bound(self) -> Self:

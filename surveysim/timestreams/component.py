@@ -104,7 +104,7 @@ COMPONENTS = (
         "readout_noise",
         "Readout noise",
         add_readout_noise,
-        "1/f noise of detectors, readout groups and array",
+        "1/f noise of detectors, readout groups or the whole array",
         through_response=False,
         absence=None,
     ),

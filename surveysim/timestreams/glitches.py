@@ -79,7 +79,22 @@ def missed_moment(section: Glitches, white_mk2_hz: np.ndarray, sample_rate_hz: f
     return share * _integral(low, edge, order - slope) / _integral(low, np.asarray(high), -slope)
 
 
-def missed_psd(section: Glitches, frequency_hz: np.ndarray, sample_rate_hz: float) -> np.ndarray:
+def kept_power(section: Glitches, white_mk2_hz: np.ndarray, sample_rate_hz: float) -> np.ndarray:
+    """Mean over all glitches of their squared amplitude (n,) [mK^2] in the data, in white noise of some PSDs (n,).
+
+    Missed glitches count with their amplitude; found ones with the rest to which they have decayed where their flags
+    end.
+    """
+    (low, high), slope = section.extremes_mk, section.slope or 0.0
+    every = low**2
+    if low < high:
+        every = _integral(low, np.asarray(high), 2 - slope) / _integral(low, np.asarray(high), -slope)
+    missed = missed_moment(section, white_mk2_hz, sample_rate_hz, 2)
+    rest = decay(section, sample_rate_hz) ** flagged_length(section, sample_rate_hz)
+    return missed + (every - missed) * rest**2
+
+
+def glitch_psd(section: Glitches, frequency_hz: np.ndarray, sample_rate_hz: float) -> np.ndarray:
     """One-sided PSD of glitches over the mean of their squared amplitudes, by Campbell's theorem."""
     turn = decay(section, sample_rate_hz) * np.exp(-2j * np.pi * frequency_hz / sample_rate_hz)
     return 2 * section.rate_hz / sample_rate_hz**2 / np.abs(1 - turn) ** 2

@@ -82,10 +82,22 @@ def test_flagged_glitches_leave_no_trace_and_missed_ones_their_power(setup_of):
 
 
 def test_sigma_is_one_over_the_samples_in_the_forecast(setup_of):
-    setups = [setup_of(text, observations=4) for text in (WHITE, WHITE + LOSSES)]
+    losses = LOSSES.replace('"0.3 s"', '"0 s"')  # no tails of glitches in the noise
+    setups = [setup_of(text, observations=4) for text in (WHITE, WHITE + losses)]
     sigma = [forecast(setup).scores["actual"].band.sigma_ukcmb2 for setup in setups]
     share = float(sampled_share(setups[1].scene, np.array([2.5]))[0])
     assert sigma[0] / sigma[1] == pytest.approx(share, rel=1e-6)
+
+
+def test_tails_of_found_glitches_are_in_the_forecast(setup_of):
+    """As those of missed glitches of the amplitude where the flags end, with the samples that are left."""
+    found = LOSSES[: LOSSES.index("[dropped")].replace('"100 mK"', '"3000 mK"')
+    rest = 3000 * np.exp(-14 / 3)  # the first sample below a hundredth, at 10 Hz
+    missed = found.replace('"3000 mK"', f'"{rest} mK"').replace("found = 1", "found = 0")
+    setups = [setup_of(WHITE + text, observations=4) for text in (found, missed)]
+    sigma = [forecast(setup).scores["actual"].band.sigma_ukcmb2 for setup in setups]
+    share = float(sampled_share(setups[0].scene, np.array([2.5]))[0])
+    assert sigma[1] / sigma[0] == pytest.approx(share, rel=1e-6)
 
 
 def test_files_have_the_flags(setup_of, tmp_path):

@@ -56,8 +56,8 @@ def _lead(summary: Content) -> Iterator[str]:
         first = max(stages, key=lambda item: item["removed"]["time"]["value"])
         less, name = time_text(first["removed"]["time"]), label(summary["budget"]["metric"]["key"])
         yield (
-            f"Of {plural(len(summary['budget']['stages']), 'stage')}, {first['title']} costs the most: without it the"
-            f" same {name} takes {less} less of the survey time."
+            f"{first['title']} costs the most of {plural(len(summary['budget']['stages']), 'stage')}: without it, the"
+            f" same {name} takes {less} less survey time."
         )
     yield small_line(summary)
     if line := interaction_line(summary):

@@ -148,9 +148,9 @@ FRONT = Caption(
 )
 SIMULATED_DESIGNS = Caption(
     "The simulated designs",
-    "Sensitivity of each simulated design, and its ratio to the scene as it is.",
-    "Across: designs. Up: σ(A) of the actual data [µK²_CMB] with Monte Carlo errors, and its ratio to the scene as it "
-    "is with paired errors. Triangles: forecast.",
+    "Metric of each simulated design, and its ratio to the scene as it is.",
+    "Across: designs. Up: the metric of the actual data with Monte Carlo errors, and its ratio to the scene as it is "
+    "with paired errors. Triangles: forecast.",
     "Look for ratios that differ by more than their errors.",
 )
 # Of a comparison of runs, by name of the file.

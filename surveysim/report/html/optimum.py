@@ -22,6 +22,10 @@ from surveysim.studies.optimise.tables import (
 from surveysim.studies.sweep.axes import value_text
 
 Content = Mapping[str, Any]  # content of summary.json or scene.json
+RIVALS = (
+    "Rivals are other local optima, named by the choices that differ, and the ends of the ranges within 1 %: "
+    "'KEY high' is the upper end for this key, 'KEY low' the lower one."
+)
 
 
 def optimum_page(directory: Path, summary: Content, scene: Content) -> Page:
@@ -97,8 +101,11 @@ def _front(directory: Path, summary: Content) -> Iterator[Block]:
 
 
 def _simulated(directory: Path, summary: Content) -> Iterator[Block]:
-    note = "Ratios are to the first design, with paired errors: all designs have one seed."
-    yield grid(simulated_table(summary), note)
+    yield grid(
+        simulated_table(summary),
+        "Ratios are to the first design, with paired errors: all designs have one seed.",
+        *([] if summary["optimum"]["front"] else [RIVALS]),
+    )
     yield from _picture(directory, summary, "simulated", SIMULATED_DESIGNS)
 
 

@@ -14,7 +14,8 @@ def _readout_noise(section: Values) -> Iterator[str]:
     for shared, words in _SHARED.items():
         if part := section[shared]:
             level = "the white noise" if part["psd_mk2_hz"] is None else f"{short(part['psd_mk2_hz'])} mK2 / Hz"
-            yield f"Noise {words}: {level} at {short(part['knee_hz'])} Hz, with a PSD f^(-{short(part['slope'])})."
+            slope = f"falls as f^(-{short(part['slope'])})"
+            yield f"1/f noise {words}: its PSD equals {level} at {short(part['knee_hz'])} Hz and {slope}."
 
 
 def _lines(section: Sequence[Values]) -> Iterator[str]:

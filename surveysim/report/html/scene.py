@@ -109,9 +109,8 @@ def _layout(layout: Values, f_lambda_rad: float) -> str:
     lattice = "on a square lattice" if shape == "square" else "hexagonal"
     pitch = f"{short(layout['pitch_f_lambda'])} (f/#)λ"
     dead = f", {len(layout['dead'])} of them dead" if layout["dead"] else ""
-    lost = (
-        f", {_percent(layout['yield_fraction'])} of the others working" if layout.get("yield_fraction", 1) < 1 else ""
-    )
+    rest = "the others" if layout["dead"] else "them"
+    lost = f", {_percent(layout['yield_fraction'])} of {rest} working" if layout.get("yield_fraction", 1) < 1 else ""
     width = _arcsec(layout["pitch_f_lambda"] * f_lambda_rad)
     return f"Positions are {lattice} over {extent}, neighbours {pitch} apart ({width}){dead}{lost}."
 

@@ -40,7 +40,7 @@ def print_bands(result: MultiBandResult, directory: Path, verbose: bool = False)
     for name, item in result.bands.items():
         if item.unscored:
             console.say(f"Not scored: {name}: {item.unscored}")
-        print_warnings(console, [f"{name}: {line}" for line in (*item.discards.warnings, *error_warnings(item))])
+        print_warnings(console, [f"{name}: {line}" for line in (*item.warnings, *error_warnings(item))])
     done = f"{len(result.bands)} bands in {result.wall_s:.1f} s with {result.workers} worker(s)"
     console.say(f"\n{done}\n{where_line(directory, 'with a page for each band behind')}")
 

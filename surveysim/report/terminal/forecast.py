@@ -35,7 +35,7 @@ def print_forecast(setup: Setup, forecast: Forecast, verbose: bool = False) -> N
     show_table(console, table, title=f"{scene.title}: forecast of the uncertainty of a flat CMB band power")
     metrics = forecast_metrics(setup, forecast)
     if further := metric_forecast_table(metrics):
-        show_table(console, further, title=f"{scene.title}: forecast of further scores, over all weather")
+        show_table(console, further, title=f"{scene.title}: forecast of the metrics, over all weather")
         for line in metric_forecast_notes(metrics):
             console.say(line)
     effects = {name: [vars(effect) for effect in item.effects] for name, item in forecast.scores.items()}

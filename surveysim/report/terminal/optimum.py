@@ -12,6 +12,8 @@ from surveysim.studies.optimise.result import OptimiseResult
 from surveysim.studies.optimise.summary import optimum_summary
 from surveysim.studies.optimise.tables import design_table, front_table, optimum_table, simulated_table
 
+MOST_REASONS = 3  # why designs are not allowed
+
 
 def print_optimum(result: OptimiseResult, directory: Path, verbose: bool = False) -> None:
     """Print the best design, how flat it is, the simulated designs, warnings and where the files are.
@@ -23,7 +25,7 @@ def print_optimum(result: OptimiseResult, directory: Path, verbose: bool = False
     directory
         Folder of its files.
     verbose
-        Also print the reasons why designs are not allowed.
+        Print all reasons why designs are not allowed.
     """
     console, content = Terminal(160), optimum_summary(result)
     show_table(console, optimum_table(content))
@@ -43,8 +45,10 @@ def print_optimum(result: OptimiseResult, directory: Path, verbose: bool = False
 
 
 def _search_lines(found: dict, verbose: bool) -> Iterator[str]:
-    refused = sum(found["refused"].values())
-    end = ":" if refused and verbose else ""
-    yield f"{plural(found['evaluations'], 'design')} were forecast; {refused} are not allowed{end}"
-    if verbose:
-        yield from (f"  {reason}: {plural(n, 'design')}" for reason, n in found["refused"].items())
+    reasons = list(found["refused"].items())
+    shown = reasons if verbose else reasons[:MOST_REASONS]
+    forecast, refused = plural(found["evaluations"], "design"), sum(found["refused"].values())
+    yield f"{forecast} were forecast; {refused} are not allowed{':' if shown else ''}"
+    yield from (f"  {reason}: {plural(n, 'design')}" for reason, n in shown)
+    if len(shown) < len(reasons):
+        yield f"  {plural(len(reasons) - len(shown), 'other reason')}: --verbose shows all"

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from surveysim.results.metric_tables import label
-from surveysim.runtime.numbers import joined, number
+from surveysim.runtime.numbers import joined, plural
 from surveysim.studies.budget.costs import FLAT, SMALL
 from surveysim.studies.budget.tables import NOT_COMPARABLE, time_text
 
@@ -20,11 +20,11 @@ def measure_line(summary: Content) -> str:
     name, power = label(metric["key"]), metric["exponent"]
     if power is None or abs(power) < FLAT:
         return f"{name} does not depend on the noise, so that costs have no survey time."
-    how = "" if power == 1 else f" to the power {number(power)}"
+    how = "" if power == 1 else f" to the power {power:.3g}"
     return (
         f"Times are survey times that give the same {name}, as shares of the whole scene's. {name} goes as the noise"
-        f" power of the map{how}, which goes as one over the survey time. The powers of independent noises add up, and"
-        f" so do times; ratios do not.{'' if summary['kind'] == 'simulated' else OF_FORECASTS}"
+        f" power of the map{how}; the noise power goes as one over the survey time. The powers of independent noises"
+        f" add up, and so do times; ratios do not.{'' if summary['kind'] == 'simulated' else OF_FORECASTS}"
     )
 
 
@@ -32,10 +32,10 @@ def place_line(summary: Content) -> str:
     """Define the two places of a stage, and its interaction."""
     name = label(summary["budget"]["metric"]["key"])
     return (
-        f"Removed alone: {name} of the whole scene over that without the stage. Added alone: {name} of the least scene"
-        " with the stage over that without it. Stages that need another one are removed with it, and a stage is added"
-        " with those that it needs. Interaction: the time that the stage costs in the whole scene less the time that it"
-        " costs in the least one."
+        f"Removed alone: {name} of the whole scene over that without the stage; both scenes lack stages that need it."
+        f" Added alone: {name} of the least scene with the stage over that without it; both scenes have the stages that"
+        " it needs. So noise costs what it costs without correlation, and its correlation has a row of its own."
+        " Interaction: the time that the stage costs in the whole scene less the time that it costs in the least one."
     )
 
 
@@ -104,11 +104,15 @@ def reason_lines(summary: Content) -> Iterator[str]:
 
 
 def flag_lines(summary: Content) -> Iterator[str]:
-    """Yield each flag of a forecast once, with the first point that has it."""
-    seen: dict[str, str] = {}
-    for point in summary["budget"]["points"]:
-        for sentence in point["forecast_flags"]:
-            seen.setdefault(sentence, point["label"])
-    if summary["kind"] != "simulated":
-        for sentence, label in seen.items():
-            yield f"the forecast ({label}) may be off. {sentence}"
+    """Yield the flags of the first forecast that has some, and name the other points that have flags."""
+    flagged = [point for point in summary["budget"]["points"] if point["forecast_flags"]]
+    if summary["kind"] == "simulated" or not flagged:
+        return
+    first, *others = flagged
+    for sentence in first["forecast_flags"]:
+        yield f"the forecast ({first['label']}) may be off. {sentence}"
+    if others:
+        yield (
+            f"the forecasts of {plural(len(others), 'other point')} may be off, too; forecast_flags of summary.json"
+            " have the reasons."
+        )

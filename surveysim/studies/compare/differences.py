@@ -1,5 +1,6 @@
 """Settings that differ between scenes: keys of scene files with the value of each scene."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -9,6 +10,7 @@ from surveysim.studies.sweep.choices import value_text
 _SAME = ("name", "title", "assumed", "band", "other_bands")  # of no influence, or told elsewhere
 NONE = "none"
 _LONGEST = 60
+_ANGLES = {"rad": "", "rad s": " / s"}  # internal unit, and the rest of the shown one
 
 
 def differences(scenes: Sequence[Mapping[str, Any]], settings: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
@@ -59,12 +61,20 @@ def _key_of(name: str) -> tuple[str, str]:
     return f"{section}.{key}".lstrip("."), field[len(key) + 1 :].replace("_", " ")
 
 
+def _number(value: float, unit: str) -> str:
+    """Text of a number in internal units; angles are in degrees, or below one degree in arcsec."""
+    if unit not in _ANGLES:
+        return f"{value:.6g} {unit}".rstrip()
+    degrees = math.degrees(value)
+    text = f"{degrees:.6g} deg" if abs(degrees) >= 1 else f"{3600 * degrees:.6g} arcsec"
+    return text + _ANGLES[unit]
+
+
 def _text(value: Any, given: Any, unit: str) -> str:
     if given is not None:
         text = value_text(given)
     elif value is None:
         return NONE
     else:
-        text = f"{value:.6g}" if isinstance(value, float) else value_text(value)
-        text = f"{text} {unit}".rstrip()
+        text = _number(value, unit) if isinstance(value, float) else f"{value_text(value)} {unit}".rstrip()
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."

@@ -160,13 +160,26 @@ def _margins(problem: Problem, settings: Mapping[str, Any], computed: Mapping[st
 
 
 def _margins_of(limit: Limit, given: Callable[[str], Any]) -> list[float]:
+    bounds = {"at_least": limit.at_least, "at_most": limit.at_most}
     try:
         value = value_of(limit.tree, given)
+        for name, bound in bounds.items():
+            if bound is not None:
+                _check_unit(name, bound, value)
         ratios = [] if limit.at_least is None else [_ratio(value, limit.at_least)]
         ratios += [] if limit.at_most is None else [_ratio(limit.at_most, value)]
-    except (ArithmeticError, TypeError, ValueError) as error:
+    except (ArithmeticError, TypeError, ValueError, InputError) as error:
         raise InputError(f"limit of {limit.text!r}: {' '.join(str(error).split())}") from None
     return [math.log(max(ratio, 1e-300)) for ratio in ratios]
+
+
+def _check_unit(name: str, bound: Any, value: Any) -> None:
+    import astropy.units as u
+
+    found, expected = u.Quantity(bound), u.Quantity(value).unit
+    if found.value != 0 and not found.unit.is_equivalent(expected):
+        allowed = f"a value in {expected}" if str(expected) else "a number without unit"
+        raise InputError(f"{name}: found {str(found).strip()}; {allowed} is expected")
 
 
 def _ratio(above: Any, below: Any) -> float:

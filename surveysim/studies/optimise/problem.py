@@ -71,8 +71,8 @@ class Problem:
 
     @property
     def identity(self) -> str:
-        """SHA-256 of everything that the search depends on."""
-        section = self.options.model_dump(exclude={"rivals"})
+        """SHA-256 of everything that the path of the search depends on; more evaluations and rivals go on with it."""
+        section = self.options.model_dump(exclude={"rivals", "evaluations"})
         return sha256(json.dumps([scene_hash(self.scene), section], default=str).encode()).hexdigest()
 
     def settings(self, places: Places) -> dict[str, Any]:

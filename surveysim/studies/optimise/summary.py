@@ -1,7 +1,8 @@
 """Content of summary.json of an optimisation."""
 
 import math
-from collections import Counter
+import re
+from collections.abc import Iterable
 from typing import Any
 
 from surveysim.reduction.setup import prepare
@@ -15,12 +16,22 @@ from surveysim.studies.optimise.result import OptimiseResult
 from surveysim.studies.sweep.result import pairs
 from surveysim.studies.sweep.summary import sweep_summary
 
+_NUMBERS = re.compile(r"\d+(\.\d+)?(e[+-]?\d+)?")
+
+
+def grouped(reasons: Iterable[str]) -> dict[str, int]:
+    """Count reasons that differ in numbers alone as the first of them, the most frequent ones first."""
+    groups: dict[str, list[str]] = {}
+    for reason in reasons:
+        groups.setdefault(_NUMBERS.sub("", reason), []).append(reason)
+    return {group[0]: len(group) for group in sorted(groups.values(), key=len, reverse=True)}
+
 
 def optimum_summary(result: OptimiseResult) -> dict[str, Any]:
     """Return the content of an optimisation's summary.json."""
     problem, found = result.problem, result.found
     scene, options = problem.scene, problem.options
-    refused = Counter(item.reason or "beyond a limit" for item in found.evaluations if not item.allowed)
+    refused = grouped(item.reason or "beyond a limit" for item in found.evaluations if not item.allowed)
     content: dict[str, Any] = {
         "scene": scene.name,
         "title": scene.title,
@@ -31,7 +42,7 @@ def optimum_summary(result: OptimiseResult) -> dict[str, Any]:
             "metrics": [{"key": key, "unit": result.unit(key)} for key in options.metrics],
             "detectors": prepare(scene).camera.n_det,
             "evaluations": len(found.evaluations),
-            "refused": dict(refused.most_common()),
+            "refused": refused,
             "spent": found.spent,
             "limits": [item.model_dump(exclude_none=True) for item in options.limits],
             "knobs": [_knob_entry(result, number) for number in range(len(problem.knobs))],

@@ -139,7 +139,7 @@ def test_notes_tell_of_confusion_and_of_the_beam_that_the_score_leaves_out(tmp_p
     functions = metric_functions(load_scene(path).score)
     lost = np.exp(-(12000**2) * np.radians(1 / 60) ** 2 / (8 * np.log(2)))
     assert {item.note for item in functions["scored"](noise)} == {
-        f"without confusion; ell_max leaves out {lost:.0%} of the beam's power"
+        f"without confusion; score.ell_max leaves out {100 * lost:.0f} % of the beam's power"
     }
     assert [item.note for item in functions["cluster"](noise)] == ["without confusion; non-relativistic"]
 

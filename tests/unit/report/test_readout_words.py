@@ -51,8 +51,8 @@ shared = "array"
 detectors = 0.1
 """
 WORDS = {
-    "Readout noise": "Noise of each detector: the white noise at 0.2 Hz, with a PSD f^(-1.5)."
-    " Noise common to all detectors: 3 mK2 / Hz at 0.1 Hz, with a PSD f^(-2).",
+    "Readout noise": "1/f noise of each detector: its PSD equals the white noise at 0.2 Hz and falls as f^(-1.5)."
+    " 1/f noise common to all detectors: its PSD equals 3 mK2 / Hz at 0.1 Hz and falls as f^(-2).",
     "Lines": "0.5 mK rms at 1.4 Hz, 0.01 Hz wide, common to a readout group.",
     "Glitches": "20 an hour in each detector, of 10 to 1000 mK, that decay in 0.05 s. Those above 5 standard deviations"
     " of a sample are found and flagged.",

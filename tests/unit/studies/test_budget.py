@@ -125,7 +125,7 @@ def test_a_metric_with_another_exponent(write, simulate):
     assert photon.removed_ratio.value == pytest.approx((10 / 7.5) ** 0.5, rel=1e-3)
     assert photon.removed_time.value == pytest.approx(0.25, rel=3e-3)
     summary = budget_summary(result)
-    assert "point_source.depth_mk goes as the noise power of the map to the power 0.500" in measure_line(summary)
+    assert "point_source.depth_mk goes as the noise power of the map to the power 0.5;" in measure_line(summary)
     with pytest.raises(SceneError, match="white.toml: metric: found 'nothing.else'; one of flat_band_power.sigma, "):
         load_budget(ready.sweep.path, metric="nothing.else")
     flat = replace(result, exponent=0.0)

@@ -157,9 +157,9 @@ def test_settings_are_told_by_their_keys():
     ]
     settings = [{"scan": {"speed": "1 deg / s"}}, {}]
     assert differences(scenes, settings) == {
-        "scan.speed": ["1 deg / s", "1 rad s"],
+        "scan.speed": ["1 deg / s", "57.2958 deg / s"],
         "sky.point_sources[0].peak": ["1 mk", "none"],
-        "scan.dither": ["none", "0.25 rad"],
+        "scan.dither": ["none", "14.3239 deg"],
     }
 
 

@@ -17,6 +17,7 @@ from surveysim.results.metrics import forecast_metrics
 from surveysim.runtime.engine import SERIAL
 from surveysim.studies.optimise.evaluation import EvaluationJob
 from surveysim.studies.optimise.problem import load_problem
+from surveysim.studies.optimise.summary import grouped
 from tests.scenes import SMALL_SCENE, without_sections
 
 SIGMA = "flat_band_power.sigma"
@@ -118,7 +119,7 @@ def test_a_finished_search_is_not_resumed(analytic):
         optimise(result.problem, out, engine=SERIAL, resume=True)
     other = result.problem.path
     with pytest.raises(OutputError, match="with other settings"):
-        optimise(other, out, overrides={"optimise.evaluations": 50}, engine=SERIAL)
+        optimise(other, out, overrides={"observations": 5}, engine=SERIAL)
 
 
 def test_simulation_after_a_forecast(write, tmp_path):
@@ -210,10 +211,40 @@ def test_limits(write, limit, allowed):
     assert item.allowed is allowed and item.margins
 
 
+@pytest.mark.parametrize(
+    ("limit", "expected"),
+    [
+        (
+            'quantity = "data_rate"\nat_most = 4000',
+            "limit of 'data_rate': at_most: found 4000.0; a value in Hz is expected",
+        ),
+        ('quantity = "detectors"\nat_least = "2 s"', "at_least: found 2.0 s; a number without unit is expected"),
+    ],
+)
+def test_a_limit_of_another_unit(write, limit, expected):
+    text = WHITE + FRONT + f"\n[[optimise.limits]]\n{limit}\n"
+    item = EvaluationJob(load_problem(write(text)))({"instrument.layout.rings": 2})
+    assert not item.allowed and expected in item.reason
+
+
 def test_a_refused_design_has_its_reason(write):
     text = WHITE + FRONT.replace("instrument.layout.rings", "map.healpix_nside").replace("high = 4", "high = 3")
     item = EvaluationJob(load_problem(write(text)))({"map.healpix_nside": 3})
     assert not item.allowed and item.reason.startswith("map.healpix_nside: found 3")
+
+
+def test_the_page_of_a_camera_whose_beam_follows_from_its_optics(write, tmp_path):
+    text = WHITE.replace('beam_fwhm = "60 arcsec"\nf_lambda = "57.142857 arcsec"\n', "")
+    optics = '\n[optics]\naperture = "8 m"\n'
+    few = {"optimise.evaluations": 10, "optimise.metrics": [SIGMA]}
+    optimise(write(text + optics + FRONT), tmp_path, overrides=few, engine=SERIAL, simulate=False, figures=False)
+    assert "(f/#)λ is 54.05 arcsec" in (tmp_path / "report.html").read_text()  # 299.79 / 143 mm over 8 m
+
+
+def test_reasons_that_differ_in_numbers_count_together():
+    reasons = ["beyond a limit", "less than 2.5 Hz is expected", "less than 7e-05 Hz is expected", "no scan is kept"]
+    found = grouped(reasons)
+    assert found == {reasons[1]: 2, "beyond a limit": 1, "no scan is kept": 1} and next(iter(found)) == reasons[1]
 
 
 def test_a_scene_without_the_section(write):

@@ -11,7 +11,7 @@ from surveysim.scene.readout import GroupRedNoise, MicrophonicLine, RedNoise
 from surveysim.scene.scene import load_scene
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.glitch_kernels import add_pulses
-from surveysim.timestreams.glitches import draw_glitches, flagged_length, missed_moment, missed_psd
+from surveysim.timestreams.glitches import draw_glitches, flagged_length, glitch_psd, kept_power, missed_moment
 from surveysim.timestreams.lines import add_line
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observed_block
@@ -147,7 +147,7 @@ def test_glitches_have_their_rate_power_and_flags(make):
     moment = float(missed_moment(section, np.ones(1), rate, 2)[0])
     assert missed.mean() == pytest.approx(moment, abs=4 * missed.std() / np.sqrt(len(missed)))
     f = (np.arange(2000) + 0.5) * rate / 4000
-    variance = missed_psd(section, f, rate).mean() * rate / 2
+    variance = glitch_psd(section, f, rate).mean() * rate / 2
     decay = np.exp(-1 / (section.decay_time_s * rate))
     assert variance == pytest.approx(section.rate_hz / rate / (1 - decay**2), rel=1e-3)
     lost = streams.flags.mean()
@@ -169,6 +169,10 @@ def test_moments_below_a_threshold(make, slope):
         below = amplitude < least_found(section, white, RATE)[:, None]
         wanted = np.mean(np.where(below, amplitude**order, 0), axis=1)
         np.testing.assert_allclose(missed_moment(section, white, RATE, order), wanted, rtol=2e-3, atol=2e-5)
+    # The flags of a found glitch end at the first sample below a hundredth of it.
+    rest = np.exp(-np.arange(99) / (section.decay_time_s * RATE))
+    power = np.mean(np.where(below, amplitude, amplitude * rest[rest <= 0.01][0]) ** 2, axis=1)
+    np.testing.assert_allclose(kept_power(section, white, RATE), power, rtol=2e-3)
 
 
 def test_gaps_and_dead_detectors_have_their_shares(make):
