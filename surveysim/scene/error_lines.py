@@ -111,7 +111,14 @@ def _number_of_items(item: Any) -> str:
 
 def allowed_keys(location: Sequence[str | int], scene: type[BaseModel]) -> list[str]:
     """Return the keys of the section at a location of the file, in alphabetical order; none without such a section."""
-    found: list[Any] = [scene]  # several for a list of sections of different kinds
+    found = sections_of(location, scene)
+    keys = {field.alias or key for item in found for key, field in item.model_fields.items()}
+    return sorted(keys - set(HIDDEN_KEYS))
+
+
+def sections_of(location: Sequence[str | int], scene: type[BaseModel]) -> list[Any]:
+    """Return the classes of the section at a location of the file, several for a list of different kinds."""
+    found: list[Any] = [scene]
     for name in location:
         if isinstance(name, int):
             continue
@@ -122,8 +129,7 @@ def allowed_keys(location: Sequence[str | int], scene: type[BaseModel]) -> list[
             fields = [pair for item in found for pair in item.model_fields.items()]
             of_name = [field for key, field in fields if (field.alias or key) == name]
             found = [item for field in of_name for item in _sections(field.annotation)]
-    keys = {field.alias or key for item in found for key, field in item.model_fields.items()}
-    return sorted(keys - set(HIDDEN_KEYS))
+    return found
 
 
 def _sections(annotation: Any) -> list[type[Section]]:

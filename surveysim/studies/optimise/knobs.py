@@ -12,6 +12,7 @@ from surveysim.scene.keys import all_keys
 from surveysim.scene.optimise import Knob as KnobSection
 from surveysim.scene.renamed_keys import renamed_line
 from surveysim.scene.scene import Scene
+from surveysim.scene.single_values import wrong_value
 from surveysim.scene.units import shown, to_float, unit_of
 from surveysim.studies.sweep.axes import numbers_of, value_text
 
@@ -97,6 +98,7 @@ class Knob:
 def knob_of(section: KnobSection, where: str) -> Knob:
     """Make a knob of its section of the scene; InputError for an unknown key, and for ends that do not fit."""
     check_key(section.key, f"{where}.key")
+    _check_values(section, where)
     if section.choices:
         return Knob(section.key, 0.0, len(section.choices) - 1.0, choices=section.choices)
     integer = all_keys()[section.key].get("type") == "integer"
@@ -117,6 +119,16 @@ def knob_of(section: KnobSection, where: str) -> Knob:
     if section.scale == "log" and low <= 0:
         raise InputError(f"{where}.low: found {shown(section.low)}; a value above 0 is expected with scale 'log'")
     return Knob(section.key, low, high, unit, section.scale == "log", integer)
+
+
+def _check_values(section: KnobSection, where: str) -> None:
+    """Raise InputError for a choice that no scene can have, and for a range with two such ends."""
+    for item in section.choices:
+        if said := wrong_value(section.key, _thawed(item)):
+            raise InputError(f"{where}.choices: {said}")
+    said = "" if section.choices else wrong_value(section.key, section.low)
+    if said and wrong_value(section.key, section.high):
+        raise InputError(f"{where}.low: {said}")
 
 
 def check_key(key: str, where: str) -> None:

@@ -309,7 +309,9 @@ def test_wrong_expressions(text, said):
     [
         (SPEED.replace("scan.speed", "scan.sped"), "did you mean scan.speed?"),
         (SPEED.replace('"1 arcmin', '"200 arcmin'), "optimise.knobs.0.high: found '100 arcmin / s'; more than 'low'"),
-        (SPEED.replace("arcmin / s", "s"), "scan.speed"),
+        (SPEED.replace("arcmin / s", "s"), "optimise.knobs.0.low: scan.speed: found '1 s'; a quantity in "),
+        (RINGS.replace("rings", "dead"), "optimise.knobs.0.low: instrument.layout.dead: found 1; a list is expected"),
+        (ALGORITHM.replace('"average"', '"averag"'), "optimise.knobs.0.choices: cleaning.algorithm: found 'averag'"),
         (SPEED + SPEED, "found 'scan.speed' more than once"),
         (RINGS.replace("40", "4.5"), "optimise.knobs.0.high: found 4.5; an integer is expected"),
         (SPEED.replace("scan.speed", "seed"), "found 'seed'; a key that is not common to all designs is expected"),
