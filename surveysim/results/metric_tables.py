@@ -12,7 +12,7 @@ from surveysim.scene.metrics import SIGMA_KEY
 
 Content = Mapping[str, Any]  # content of summary.json
 _UNITS = {"uK2": "uK_CMB^2", "mK s(1/2)": "mK sqrt(s)"}
-_TITLE = "Further scores of the same maps"
+_TITLE = "Metrics of the same maps"
 
 
 def metric_entries(metrics: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
@@ -129,7 +129,9 @@ def _notes(items: Iterable[tuple[str, float | None, str]]) -> list[str]:
 
 def _forecast_text(entry: Content) -> str:
     value = entry.get("forecast")
-    return "" if value is None or not np.isfinite(value) else as_known(value, entry["error"])
+    if value is None or not np.isfinite(value):
+        return ""
+    return as_known(value, entry["error"]) if 1e-3 <= abs(value) < 1e6 else number(value)
 
 
 def _numbers(name: str, values: Sequence[float | None], cells: Iterable[str]) -> Column:

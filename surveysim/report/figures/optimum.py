@@ -80,10 +80,10 @@ def _knob(result: OptimiseResult, number: int) -> Panel:
     low, high = sorted((best.metrics[key], top))
     room = BELOW * (high - low)
     y_range = (low - room, high) if sign > 0 else (low, high + room)
-    others = [item for item in found.evaluations if item.metrics and item.settings]
+    others = [item for item in found.evaluations if item.allowed and item.settings]
     series = [
         Series(
-            "all designs",
+            "allowed designs",
             "points",
             np.array([knob.number_of(item.settings[knob.key]) for item in others]),
             np.array([item.metrics[key] for item in others]),

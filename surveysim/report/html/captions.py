@@ -134,16 +134,16 @@ OPTIMUM = Caption(
     "The metric along each knob",
     "Forecasts of the metric against each knob, with the range within 1 % of the best design.",
     "Across: a knob. Up: the metric, by forecast. Blue: designs along this knob, with the others at the best design; "
-    "the line is a smooth surface through the designs near it. Grey: all designs of the search. Orange: within 1 % of "
-    "the best.",
+    "the line is a smooth surface through the designs near it. Grey: all allowed designs of the search. Orange: "
+    "within 1 % of the best.",
     "Look for the width of the orange range: inside it other reasons may decide. A range that ends at the edge of the "
     "panel ends with the range that was searched.",
 )
 FRONT = Caption(
     "Two metrics that compete",
     "Designs by their two metrics, with the Pareto front.",
-    "Across and up: the two metrics, by forecast. Grey: all designs of the search. Blue: the front, designs that no "
-    "other is better than in both metrics.",
+    "Across and up: the two metrics, by forecast. Grey: all allowed designs of the search. Blue: the front, "
+    "designs that no other beats in both metrics.",
     "Look for a corner of the front, from which little is gained in one metric for much of the other.",
 )
 SIMULATED_DESIGNS = Caption(

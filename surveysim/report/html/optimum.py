@@ -24,7 +24,7 @@ from surveysim.studies.sweep.axes import value_text
 Content = Mapping[str, Any]  # content of summary.json or scene.json
 RIVALS = (
     "Rivals are other local optima, named by the choices that differ, and the ends of the ranges within 1 %: "
-    "'KEY high' is the upper end for this key, 'KEY low' the lower one."
+    "'speed high' is the upper end for a key that ends in speed, 'speed low' the lower one."
 )
 
 

@@ -212,7 +212,7 @@ def _rivals(store: EvaluationStore, best: Evaluation, optima: list[Optimum], fla
     named = [(_name_of(problem, best, store.at(item.places)), item.places) for item in optima]
     if flat is not None:
         ends = places_of_ends(flat.best, flat.ranges)
-        named += [(f"{problem.knobs[number].key} {side}", places) for number, side, places in ends]
+        named += [(f"{problem.knobs[number].key.rpartition('.')[2]} {side}", places) for number, side, places in ends]
     rivals = [(name, store.at(places)) for name, places in named]
     numbers = {id(item): number for number, item in enumerate(store.evaluations)}
     found = [Design(name, numbers[id(item)]) for name, item in rivals if item is not best and item.allowed]
