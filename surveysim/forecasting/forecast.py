@@ -192,6 +192,8 @@ def _scored(
     )
     # Hits scale with kept scans and samples; the PSD of a survey scales as one over its observations.
     share = kept.share * sampled
+    if not share.any():
+        raise NotForecastableError(f"{', '.join(scene.losses)}: found all samples lost; some are needed")
     variance = (weight**2 * share) @ noise / (weight @ share) ** 2 * (len(noise) / scene.observations)
     area = setup.analysis.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
     psd = variance * area * (1e3 * scene.instrument.cmb_per_rj) ** 2

@@ -131,6 +131,12 @@ def test_a_forecast_without_a_kept_scan_says_how_it_knows(scene_of):
         forecast(prepare(lost))
 
 
+def test_a_forecast_without_samples_says_so(scene_of):
+    lost = {"dropped_samples.rate": "1 Hz", "dropped_samples.length": "1 day", "dropped_samples.shared": "array"}
+    with pytest.raises(SceneError, match=r"^dropped_samples: found all samples lost; some are needed$"):
+        forecast(prepare(scene_of(**lost, **CALM)))
+
+
 def test_known_responsivities_discard_nothing(scene_of, monkeypatch):
     known = scene_of(cleaning__responsivities="known", **CALM)
     assert forecast(prepare(known)).scores["actual"].kept.discarded == 0
