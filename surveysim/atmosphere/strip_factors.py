@@ -300,18 +300,24 @@ def mirrored_eigh(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     value : (k, n)
         Eigenvalues of the even vectors, ascending, then of the odd ones.
     vector : (k, n, n)
-        Orthonormal eigenvectors, one a column.
+        Orthonormal eigenvectors, one a column, of positive first elements: a solver's signs change with its rounding.
     """
     n = matrix.shape[-1]
     n_odd, n_even = n // 2, n - n // 2
     near, far = matrix[:, :n_even, :n_even], matrix[:, :n_even, : n_odd - 1 : -1]
     # Even parts are expanded in sums of two unit vectors over sqrt(2), and in that of the middle.
     of_pair = np.where(np.arange(n_even) < n_odd, 1.0, 0.5**0.5)
-    even_value, even = np.linalg.eigh((near + far) * (of_pair[:, None] * of_pair))
-    odd_value, odd = np.linalg.eigh((near - far)[:, :n_odd, :n_odd])
+    even_value, even = _signed_eigh((near + far) * (of_pair[:, None] * of_pair))
+    odd_value, odd = _signed_eigh((near - far)[:, :n_odd, :n_odd])
     vector = np.zeros(matrix.shape)
     vector[:, :n_even, :n_even] = even * (0.5**0.5 / of_pair)[:, None]
     vector[:, :n_odd, n_even:] = odd * 0.5**0.5
     vector[:, n_even:, :n_even] = vector[:, n_odd - 1 :: -1, :n_even]
     vector[:, n_even:, n_even:] = -vector[:, n_odd - 1 :: -1, n_even:]
     return np.concatenate([even_value, odd_value], axis=1), vector
+
+
+def _signed_eigh(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues, and eigenvectors with positive first elements."""
+    value, vector = np.linalg.eigh(matrix)
+    return value, np.copysign(1.0, vector[:, :1]) * vector

@@ -136,6 +136,9 @@ def binned(tmp_path):
 
 # Name, function, right arguments, and wrong values of some of them.
 TABLE = [
+    (mm.fill_flagged, {"data_mk": DATA, "scan_bounds": BOUNDS, "flagged": DATA > 0},
+     {"data_mk": [DATA[0], DATA[:-1], DATA.astype(complex), "abc", None], "scan_bounds": WRONG_BOUNDS,
+      "flagged": [(DATA > 0)[:-1], (DATA > 0)[0], DATA, None, "abc"]}),
     (mm.bin_map, {"geometry": GEOMETRY, "data_mk": DATA, "index": INDEX, "bounds": BOUNDS, "kept": KEPT},
      {"data_mk": [*wrong_arrays(DATA)], "index": WRONG_INDEX, "bounds": WRONG_BOUNDS, "kept": WRONG_KEPT}),
     (mm.coadd, {"maps": [MAP, MAP], "weights": [1.0, 2.0]}, {"weights": WRONG_WEIGHTS, "maps": [[], [MAP]]}),
