@@ -13,7 +13,8 @@ def _one_of(section: Section, **keys: str) -> None:
     """Raise ValueError for a section without any of some keys, by field; a key may be 0, as in a sweep."""
     if section.model_fields_set.isdisjoint(keys):
         first, *others = keys.values()
-        raise ValueError(f"{first}: missing; it or one of {', '.join(map(repr, others))} is expected")
+        alternatives = f"{'one of ' if len(others) > 1 else ''}{', '.join(map(repr, others))}"
+        raise ValueError(f"{first}: missing; it or {alternatives} is expected")
 
 
 class ResponsivityDrift(Section):

@@ -368,7 +368,7 @@ def test_an_effect_of_0_changes_no_bit(ready, settings):
     ("settings", "words"),
     [
         ({"responsivity_drift.rms": 0.1}, "time_scale: missing; 'rms' needs it"),
-        ({"responsivity_drift.load_scatter": 0.1}, "rms: missing; it or one of 'load_coefficient' is expected"),
+        ({"responsivity_drift.load_scatter": 0.1}, "rms: missing; it or 'load_coefficient' is expected"),
         (
             {"responsivity_drift.rms": 0.1, "responsivity_drift.time_scale": "1 s"},
             "responsivity_drift.time_scale: found 1 s; 6 s or more is expected",
@@ -377,7 +377,7 @@ def test_an_effect_of_0_changes_no_bit(ready, settings):
             {"responsivity_drift.load_coefficient": "0.1 / K", "responsivity_drift.calibration_elevation": "60 deg"},
             "responsivity_drift.calibration_elevation: found without atmosphere.site",
         ),
-        ({"crosstalk.group_size": 8}, "neighbour_fraction: missing; it or one of 'group_fraction' is expected"),
+        ({"crosstalk.group_size": 8}, "neighbour_fraction: missing; it or 'group_fraction' is expected"),
         ({"time_constants.deconvolution_error": 0.1}, "time_constants.value: missing; one of 'value' and a column"),
         ({"time_constants.value": "1 s"}, r"time_constants.value: found a detector of 1 s; 0.6 s or less is expected"),
         ({"pointing_errors.drift": "1 arcsec"}, "drift_time_scale: missing; 'drift' needs it"),
