@@ -73,6 +73,7 @@ def test_is_the_double_sum_over_two_scans(index, height):
         assert scan_correlation(layer, np.array([theta]), TRACK)[0] == pytest.approx(np.mean(values), rel=2e-4)
 
 
+@pytest.mark.slow
 def test_spline_in_the_track_is_the_quadrature(grid):
     """At any elevation: the beam is D sin(el) / h wide, and the amplitude B2 sin(el)^(1 - b)."""
     bins, table = grid

@@ -56,6 +56,7 @@ def test_a_month_has_its_own_quantiles(air, water, when):
     assert np.mean(pwv < 2 * low) == pytest.approx(0.5, abs=share_error(0.5, N_DRAWS))
 
 
+@pytest.mark.slow
 def test_without_dates_all_months_are_equally_likely(air, water):
     """A draw without a date has the distribution of draws with uniform dates."""
     year = np.array([item.pwv_mm for item in draws(air, water, None)])

@@ -339,6 +339,7 @@ def test_more_observations_are_added_to_a_finished_run(tmp_path, scene, setup, p
         load_checkpoint(path, setup)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["processes", pytest.param("dask", marks=pytest.mark.slow)])
 def test_sums_of_many_observations_travel_as_nodes(scene, kind):
     """Workers add up whole leaves, and the bits are those of one process."""
