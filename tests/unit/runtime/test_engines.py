@@ -17,7 +17,8 @@ from surveysim.runtime.items import InOrder
 TWO = Engine(workers=2)
 DASK = Engine("dask", workers=2)
 ALL = pytest.mark.parametrize("engine", [SERIAL, TWO, DASK], ids=lambda engine: engine.kind)
-LOCAL = pytest.mark.parametrize("engine", [TWO, DASK], ids=lambda engine: engine.kind)
+SLOW_DASK = pytest.param(DASK, marks=pytest.mark.slow)
+LOCAL = pytest.mark.parametrize("engine", [TWO, SLOW_DASK], ids=lambda engine: engine.kind)
 
 
 def square(item):

@@ -119,6 +119,7 @@ def test_a_point_that_stopped_has_the_bits_of_its_first_observations(early, path
         assert one.scores["actual"].band.sigma_ukcmb2 == other.scores["actual"].band.sigma_ukcmb2
 
 
+@pytest.mark.slow
 def test_workers_and_interruptions_change_no_bit(early, path, tmp_path, monkeypatch, two_threads):
     """Interrupted in the second round, and in the first; files of the rounds go with the end of the sweep."""
     one, two, three = (tmp_path / name for name in ("one", "two", "three"))
