@@ -30,6 +30,8 @@ SITE = (
     | {f"schedule.{key}": None for key in PLACE}
     | {"atmosphere.pwv": "[1] mm", "atmosphere.pwv_probabilities": [0.5], "instrument.bandwidth": 0.15}
 )
+GLITCHES = {"glitches.rate": "1e-3 Hz", "glitches.amplitude": "10 mK", "glitches.decay_time": "0.1 s"}
+GAPS = {"dropped_samples.rate": "1e-3 Hz", "dropped_samples.length": "1 s", "dropped_samples.shared": "array"}
 # What a key needs beside it to be in a scene that has another in its place.
 BESIDE: dict[str, Mapping[str, Any]] = {
     "instrument.layout.field_of_view": {"instrument.layout.rings": None, "instrument.layout.dead": []},
@@ -48,6 +50,9 @@ BESIDE: dict[str, Mapping[str, Any]] = {
     **{key: OPTICS | KID | {"detector.psd": None} for key in KID},
     **{f"site.{key}": SITE for key in (*PLACE, "temperature")},
     "optics.sky": OPTICS,
+    **{f"glitches.{key}": GLITCHES for key in ("slope", "found", "threshold")},
+    **{f"dropped_samples.{key}": GAPS for key in ("rate", "length", "shared")},
+    **{f"glitches.{key}": GLITCHES for key in ("rate", "amplitude", "decay_time")},
     "optics.stop.temperature": OPTICS | {"instrument.horn_f_lambda": 0.7},
     "optics.central_obscuration": OPTICS | {"optics.aperture": "10 m"},
     "optics.aperture_efficiency": OPTICS | {"optics.aperture": "10 m"},

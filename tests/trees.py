@@ -64,7 +64,8 @@ def results(directory: Path) -> dict[str, str]:
     found = {name: item for name, item in files(directory).items() if name not in mine and item != "folder"}
     if CHECKPOINT in found:
         found[CHECKPOINT] = _sums(directory / CHECKPOINT)
-    return found | {name: "timed" for name in TIMED if name in found}
+    timed = {*TIMED, *(name for name in found if name.startswith("points/") and Path(name).name in TIMED)}
+    return found | {name: "timed" for name in timed if name in found}
 
 
 def _sums(checkpoint: Path) -> str:

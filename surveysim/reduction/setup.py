@@ -306,6 +306,8 @@ def _check_blocks(scene: Scene, common: _Common, scene_pipelines: tuple[Cleaning
 
 
 def _geometry(scene: Scene, extent_rad: float, pixel_rad: float) -> MapGeometry:
+    if pixel_rad >= math.pi / 2:
+        raise SceneError(f"map.pixel: found {math.degrees(scene.map.pixel_rad):.4g} deg; less than 90 deg is expected")
     return covering_geometry(scene.field.ra_rad, scene.field.dec_rad, pixel_rad, extent_rad)
 
 

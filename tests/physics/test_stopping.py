@@ -44,6 +44,7 @@ def test_stopped_runs_are_honest(tmp_path, reference):
         found.append((result.estimate.sigma_ukcmb2, result.estimate.error_ukcmb2))
     sigma, error = np.array(found).T
     expected, expected_error = reference
+    print("STOP", sigma.mean(), sigma.std(), error.mean(), expected, expected_error)
     # chi^2 per degree of freedom of 50 scatters by 0.2.
     assert 0.7 < np.mean(((sigma - expected) / error) ** 2) < 1.4
     mean_error = np.hypot(sigma.std(ddof=1) / np.sqrt(SEEDS), expected_error)

@@ -236,7 +236,7 @@ def test_a_killed_run_is_replaced(call, tmp_path):
     short = ("--set", "observations=2", "--set", "name=other")
     assert call("run", path, "--out", out, *QUICK, *short)[0] == 2
     assert call("run", path, "--out", out, *QUICK, "--force", *short)[0] == 0
-    files = ["checkpoint.h5", "report.html", "scene.json", "scene.toml", "summary.json"]
+    files = ["checkpoint.h5", "report.html", "scene.json", "scene.toml", "scores.npz", "summary.json"]
     assert names(out) == sorted([RECORD, "maps", "notes.txt", *files, "tables", "timestreams"])
     assert names(out / "timestreams") == ["movie.part", "notes.txt"]
 
