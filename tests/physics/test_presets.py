@@ -82,7 +82,17 @@ def test_cameras_have_no_published_scores(camera):
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_cameras_run(camera, tmp_path):
     """Each within minutes on one core, as a first look at a camera has to."""
-    options = ("--set", "observations=2", "--set", "score.jackknives=8", "--workers", "1", "--no-figures")
+    options = (
+        "--set",
+        "observations=2",
+        "--set",
+        "score.jackknives=8",
+        "--set",
+        "score.signal_sims.skies=2",
+        "--workers",
+        "1",
+        "--no-figures",
+    )
     command = [*COMMAND, "run", camera, *options]
     ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
     assert ended.returncode == 0, ended.stderr
