@@ -128,7 +128,7 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
 
     @property
     def turbulent(self) -> bool:
-        """Whether the time-streams have a turbulent layer."""
+        """True if the time-streams have a turbulent layer."""
         return self.atmosphere is not None and self.atmosphere.turbulence != "none"
 
     @model_validator(mode="before")

@@ -134,11 +134,15 @@ def _add_correlated(data_mk: np.ndarray, streams: np.ndarray, factor: np.ndarray
 @lru_cache(maxsize=8)  # sections of the bands of a camera
 @threadpool_limits.wrap(limits=1)  # the last bits of eigenvectors depend on the number of BLAS threads
 def _scan_root(section: Excess, n_samp: int, sample_rate_hz: float) -> np.ndarray:
-    """Root (n_samp, n_samp) of the covariance of a scan with unit variance; normal deviates go to its left."""
+    """Symmetric root (n_samp, n_samp) of the covariance of a scan with unit variance.
+
+    It depends on the covariance alone, without the signs and the order of eigenvectors, and hardly changes with the
+    spectral index: sections that differ little share their noise.
+    """
     psd = excess_psd(section, 1.0, n_samp, 2 * n_samp, sample_rate_hz)
     lag = np.abs(np.arange(n_samp) - np.arange(n_samp)[:, None])
     value, vector = np.linalg.eigh(np.fft.irfft(psd)[lag] * (sample_rate_hz / 2))
-    return (vector * np.sqrt(np.maximum(value, 0))).T.astype(np.float32)
+    return ((vector * np.sqrt(np.maximum(value, 0))) @ vector.T).astype(np.float32)
 
 
 def _add_lattice_scan(

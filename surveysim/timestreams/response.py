@@ -171,7 +171,7 @@ def pass_light(of: ObservedBlock, photons_mk: np.ndarray) -> None:
 
 
 def draws_parts(of: ObservedBlock) -> bool:
-    """Whether photon and detector noise are drawn apart: they differ between detectors, or pass different steps."""
+    """Tell if photon and detector noise are drawn apart: they differ between detectors, or pass different steps."""
     steps = (step.acts_on == "light" for step in present_steps(of.setup))
     return of.setup.camera.properties.white_differs or any(steps)
 

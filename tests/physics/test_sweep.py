@@ -157,7 +157,7 @@ def test_paired_error_where_little_is_common(tmp_path, monkeypatch):
     "table, gained",
     [
         ('"detector.psd" = ["2.5 mK2 / Hz", "3.5 mK2 / Hz"]', 4),
-        ('"excess.spectral_index" = [1.0, 1.2]', 1.5),
+        ('"excess.spectral_index" = [1.0, 1.2]', 4),
         ('"cleaning.algorithm" = ["average", "planar"]', 1),
     ],
 )

@@ -27,7 +27,7 @@ class Estimate:
 
     @property
     def is_known(self) -> bool:
-        """Whether there is a value."""
+        """True if there is a value."""
         return bool(np.isfinite(self.value))
 
 

@@ -31,7 +31,7 @@ class Cost:
 
     @property
     def exists(self) -> bool:
-        """Whether both points exist."""
+        """True if both points exist."""
         return self.present is not None and self.absent is not None
 
 

@@ -54,7 +54,7 @@ class BudgetResult:
 
     @property
     def is_scored(self) -> bool:
-        """Whether the whole scene has a score."""
+        """True if the whole scene has a score."""
         return self.comparison.reference == WHOLE
 
     @property

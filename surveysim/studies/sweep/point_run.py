@@ -32,7 +32,7 @@ class Stage:
 
     @property
     def is_whole(self) -> bool:
-        """Whether all observations of the point run."""
+        """True if all observations of the point run."""
         return self.observations == self.point.scene.observations
 
     @property
