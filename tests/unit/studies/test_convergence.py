@@ -141,7 +141,7 @@ def test_other_draws_share_less_noise(result):
     Sign flips of few observations know the error of a difference badly: the largest of three steps.
     """
     rows = of_parameter(result.rows, "screen step")
-    assert max(rows[step].bias_error / rows[step].relative_error for step in ("4", "2", "1")) > 0.1
+    assert max(rows[step].bias_error / rows[step].relative_error for step in ("4", "2", "1")) > 0.3
 
 
 def test_files_hold_all_rows(result, tmp_path, capsys):
