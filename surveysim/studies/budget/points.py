@@ -15,6 +15,7 @@ from surveysim.scene.metrics import SIGMA_KEY, metric_keys
 from surveysim.scene.scene import Origin, Scene, load_scene, read_scene, scene_hash, scene_of
 from surveysim.scene.shipped import find_scene
 from surveysim.scene.units import file_value, shown
+from surveysim.studies.actual_data import actual_alone
 from surveysim.studies.budget.stages import CLEANING, StageList, stages_of
 from surveysim.studies.sweep.axes import Point, Sweep, sweep_point
 
@@ -196,7 +197,7 @@ def _points(
             reasons[item] = f"{_label(stages, item)} has no noise"
             continue
         try:
-            scene = _actual_alone(scene_at(settings))
+            scene = actual_alone(scene_at(settings))
             points[item] = sweep_point(number, (number,), _label(stages, item), settings, scene)
         except SceneError as error:
             lines = [line.removeprefix(f"{path}: ") for line in str(error).splitlines()]
@@ -224,14 +225,6 @@ def _label(stages: StageList, removed: Removed) -> str:
     if not gone:
         return "all stages"
     return f"without {', '.join(gone)}" if len(gone) < len(kept) else f"{', '.join(kept) or 'nothing'} alone"
-
-
-def _actual_alone(scene: Scene) -> Scene:
-    """The scene without data sets beside the actual one, which cost time and change nothing of it."""
-    if scene.score is None:
-        return scene
-    score = scene.score.model_copy(update={"noise_only_sets": (), "mask_separation_f_lambda": None})
-    return scene.model_copy(update={"score": score, "cleaning": scene.cleaning.model_copy(update={"compare": ()})})
 
 
 def as_options(settings: Mapping[str, Any]) -> str:

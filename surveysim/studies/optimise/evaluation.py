@@ -15,7 +15,7 @@ from surveysim.reduction.setup import Setup, prepare
 from surveysim.results.control_variate import weather_factors
 from surveysim.runtime.errors import InputError, NotForecastableError
 from surveysim.scene.metrics import metric_keys
-from surveysim.scene.scene import Scene
+from surveysim.studies.actual_data import actual_alone
 from surveysim.studies.optimise.expressions import names, value_of
 from surveysim.studies.optimise.problem import Limit, Problem
 
@@ -72,7 +72,7 @@ class EvaluationJob:
         problem, found = self.problem, dict(settings)
         try:
             found = problem.with_derived(settings)
-            setup = prepare(_without_others(problem.scene_at(found)))
+            setup = prepare(actual_alone(problem.scene_at(found)))
             margins = _margins(problem, found, quantities(setup))
             if settings and min(margins, default=0.0) < -math.log1p(BEYOND):
                 return Evaluation(found, margins=margins, reason="beyond a limit")
@@ -106,12 +106,6 @@ def _check_values(problem: Problem, found: Mapping[str, Quantity]) -> None:
 def _first_line(error: InputError, problem: Problem) -> str:
     lines = str(error).splitlines()
     return lines[0].removeprefix(f"{problem.path}: ") if lines else type(error).__name__
-
-
-def _without_others(scene: Scene) -> Scene:
-    """Leave out data sets that a search does not look at: the actual data do not depend on them."""
-    score = scene.score.model_copy(update={"noise_only_sets": (), "mask_separation_f_lambda": None})
-    return scene.model_copy(update={"score": score, "cleaning": scene.cleaning.model_copy(update={"compare": ()})})
 
 
 def metric_quantities(setup: Setup, expected: Forecast) -> dict[str, Quantity]:
