@@ -3,7 +3,7 @@
 It is the NET of an ideal camera, with white noise and no loss of signal, that measures a flat band power as well as
 this one: with the same scans, detectors and scored multipoles. Its noise PSD is ``N = sigma(A) (sum_b n_b/2
 M_b^2)^(1/2)``, with M the signal PSD before scans and cleaning. The exposure E (detector-seconds per sr) turns it into
-the NET of a detector, ``NET^2 = N E``. The array has ``NET / sqrt(n_det)``. The time is that of all scans:
+the NET of a detector, ``NET^2 = N E``. The array has ``NET / sqrt(n_det)``. The time counts all scans:
 discarded scans and bad weather raise the NET.
 """
 

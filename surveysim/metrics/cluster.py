@@ -1,6 +1,6 @@
 """Metric `cluster`: depth of a matched filter for clusters of galaxies, in the central Compton parameter y0.
 
-The filter is that of `surveysim.metrics.point_source`, for the profile of a cluster in angles, whatever its redshift.
+The filter is as in `surveysim.metrics.point_source`, for the profile of a cluster in angles, whatever its redshift.
 The thermal Sunyaev-Zeldovich effect turns y0 into a CMB temperature (`surveysim.scene.passband`), without relativistic
 corrections. The CMB, other clusters and galaxies add to the scatter in a real map.
 """

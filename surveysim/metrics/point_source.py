@@ -1,9 +1,9 @@
 """Metric `point_source`: depth and mapping speed of a matched filter for point sources.
 
 The scatter of a source's amplitude is ``sigma^-2 = sum_b P_b T_b / N_b`` (`mapmaker.matched_filter`), with the power
-P_b of the source in beam and pixels, noise PSD N_b and transfer function T_b. T is that of power: the filter's template
-has all that cleaning leaves of a source. A filter that treats directions alike, with the amplitudes that cleaning
-leaves, has a scatter that is larger by about 0.5 %.
+P_b of the source in beam and pixels, noise PSD N_b and transfer function T_b of power: the filter's template has all
+that cleaning leaves of a source. A filter that treats directions alike, with the amplitudes that cleaning leaves, has a
+scatter that is larger by about 0.5 %.
 
 The mapping speed is ``Omega / (sigma^2 t)``. Omega is the area over which the detector-seconds of all scans, spread
 evenly, have the exposure of the scored patch; t is the time of scans and turnarounds. In white noise without losses it

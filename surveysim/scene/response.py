@@ -50,13 +50,13 @@ class ResponsivityDrift(Section):
 
 
 class Crosstalk(Section):
-    """Crosstalk: fractions of the streams of detectors in those of others of the same readout group."""
+    """Crosstalk: fractions of a detector's stream that appear in the streams of others of its readout group."""
 
     neighbour_fraction: Annotated[float, *number(-0.2, 0.2)] = 0.0
-    """Fraction of each stream in those of its neighbours in readout: the detectors before and after it in its group, by
+    """Fraction of each stream that its neighbours in readout get: the detectors before and after it in its group, by
     their rows in the table or their numbers."""
     group_fraction: Annotated[float, *number(-0.1, 0.1)] = 0.0
-    """Fraction of each stream in those of all other detectors of its group."""
+    """Fraction of each stream that all other detectors of its group get."""
     group_size: GroupSize | None = Field(
         default=None, json_schema_extra={"otherwise": "groups of the table's column `readout_group`, or one of all"}
     )
@@ -119,7 +119,7 @@ class ResponseSections(Section):
     responsivity_drift: ResponsivityDrift | None = None
     """Without it responsivities are constant within an observation."""
     time_constants: TimeConstants | None = None
-    """Without it time constants are those of the table `instrument.positions`, or 0."""
+    """Without it the table `instrument.positions` has the time constants, or they are 0."""
     crosstalk: Crosstalk | None = None
     pointing_errors: PointingErrors | None = None
     """Without it the assumed pointing is true."""

@@ -97,7 +97,7 @@ RESPONSE_STEPS = (
         "crosstalk",
         "Crosstalk",
         crosstalk,
-        "streams leak into those of other detectors of their readout group",
+        "streams leak into the streams of other detectors of their readout group",
         acts_on="streams",
         is_present=lambda setup: setup.scene.crosstalk is not None,
     ),

@@ -21,7 +21,7 @@ DATA_SETS = {
 }
 
 METRICS = (
-    "Metrics of the scene, with Monte Carlo errors as those of σ(A). A forecast is for the weather of the quoted value."
+    "Metrics of the scene, with Monte Carlo errors, as for σ(A). A forecast is for the weather of the quoted value."
 )
 ALTERNATIVES = (
     f"σ(A) in {UK2}. own: every data set weights its bins by its own noise; actual: all by the actual data's; 2-D:"

@@ -190,7 +190,7 @@ def _pair_grids(summary: Content) -> Iterator[Grid]:
         return
     names = {number: f"{number}: {_values(summary['points'][number], varied_keys(summary))}" for number in numbers}
     rows = tuple((cell(names[row]), *(_pair_cell(pairs, row, column) for column in numbers)) for row in numbers)
-    notes = [f"{_name(summary)} of the row's point over that of the column's, with the paired error."]
+    notes = [f"{_name(summary)} of the row's point over the column's, with the paired error."]
     if not all(pair["comparable"] for pair in pairs.values()):
         notes.append(
             f"*: not to be compared, as one loses more than {100 * MOST_DISCARDED:g} % of its scans or the two differ"

@@ -57,7 +57,7 @@ class Measured:
     simulated: bool
 
     def ratio(self, over: int, under: int) -> Estimate:
-        """Value of one point over that of another."""
+        """Value of one point over the value of another."""
         error = float(np.linalg.norm(self.modes[over] - self.modes[under]))
         return self._estimate(self.values[over] / self.values[under], self.values[over] / self.values[under] * error)
 

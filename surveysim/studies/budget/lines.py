@@ -10,7 +10,7 @@ from surveysim.studies.budget.tables import NOT_COMPARABLE, time_text
 
 Content = Mapping[str, Any]  # content of summary.json
 MOST_NAMED = 3  # interactions in a sentence
-OF_FORECASTS = " Errors of forecasts are those of the fractions of discarded scans that they predict."
+OF_FORECASTS = " Errors of forecasts come from the predicted fractions of discarded scans."
 SURE = 3  # standard errors beyond which an interaction is named: pairs are many
 
 

@@ -121,7 +121,7 @@ def pairing_sentences(compared: Content) -> list[str]:
             " skies are common where the settings allow it."
         )
     found += [
-        f"The errors of {run['label']} are those of independent runs: {run['independent_because']}."
+        f"The errors of {run['label']} are for independent runs: {run['independent_because']}."
         for run in others
         if "independent_because" in run
     ]

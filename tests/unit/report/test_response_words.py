@@ -46,4 +46,4 @@ def test_each_step_is_told_where_it_is_present(tmp_path, settings):
     assert told == (STEPS if settings else [])
     lines = list(camera_lines(setup))
     assert [line.partition(": ")[0].replace(" ", "_") for line in lines[1:]] == told
-    assert "crosstalk: streams leak into those of other detectors of their readout group" in lines or not settings
+    assert "crosstalk: streams leak into the streams of other detectors of their readout group" in lines or not settings
