@@ -16,7 +16,7 @@ def test_compare(call, tmp_path, monkeypatch):
     code, out, error = call("compare", "a", "b", "c")
     assert (code, error) == (0, "") and sorted(item.name for item in Path().iterdir()) == ["a", "b", "c", "small.toml"]
     assert "Ratios are to a." in out and "Errors of ratios of b are paired" in out
-    assert "The errors of c are those of independent runs: seeds 11 and 3." in out and "scan.scans" in out
+    assert "The errors of c are for independent runs: seeds 11 and 3." in out and "scan.scans" in out
     assert call("compare", "a", "b", "--out", "both", "--no-figures", "-q") == (0, "", "")
     assert (Path("both") / "report.html").is_file() and call("report", "both")[0] == 0
     code, out, error = call("compare", "a", "both")
