@@ -48,6 +48,10 @@ class ScanPath:
     velocity_rad_s : (n_scan, 2)
         Mean velocity (xi, eta) of each scan.
     mid_time_s : (n_scan,)
+    straight
+        Whether the velocity is constant in every scan.
+    flagged : (n_samp,) bool, optional
+        Samples of turnarounds, which no map has; None without any.
     """
 
     time_s: np.ndarray
@@ -56,6 +60,8 @@ class ScanPath:
     scan: np.ndarray
     velocity_rad_s: np.ndarray
     mid_time_s: np.ndarray
+    straight: bool
+    flagged: np.ndarray | None = None
 
 
 def timing(section: ScanSection) -> dict[str, Any]:

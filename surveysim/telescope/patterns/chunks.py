@@ -33,4 +33,5 @@ def chunked_path(scans: Scans, offsets: Callable[[np.ndarray], np.ndarray], dith
         scan=np.repeat(np.arange(scans.n_scans), n),
         velocity_rad_s=travel.T / scans.scan_s,
         mid_time_s=mid_s,
+        straight=False,
     )

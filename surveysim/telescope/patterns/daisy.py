@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surveysim.scene.scan_patterns import DaisyScan
+from surveysim.telescope.horizon_frame import HorizonFrame
 from surveysim.telescope.patterns.chunks import chunked_path
 from surveysim.telescope.scans import ScanPath, Scans, timing
 
@@ -47,6 +48,6 @@ def daisy_extent(daisy: Daisy) -> float:
     return daisy.radius_rad
 
 
-def daisy_path(daisy: Daisy, observation: int, dither: np.ndarray) -> ScanPath:
+def daisy_path(daisy: Daisy, observation: int, dither: np.ndarray, frame: HorizonFrame | None) -> ScanPath:
     """Compute the boresight path of one observation; that of every observation begins alike."""
     return chunked_path(daisy, daisy.offsets, dither)

@@ -32,7 +32,7 @@ def setup(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def path(setup):
-    return daisy_path(setup.observing.scans, 0, np.array([0.5, -0.25]) * ARCMIN)
+    return daisy_path(setup.observing.scans, 0, np.array([0.5, -0.25]) * ARCMIN, None)
 
 
 def test_chunks_are_contiguous_scans(setup, path):
