@@ -155,9 +155,9 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
         if not any(getattr(self, name) for name in StreamSections.model_fields):
             *names, last = StreamSections.model_fields
             raise ValueError(f"at least one of {', '.join(names)} and {last} is expected")
-        if (found := self.scan.duration_s * self.scan.sample_rate_hz) < MIN_SAMPLES:
+        if (samples := self.scan.duration_s * self.scan.sample_rate_hz) < MIN_SAMPLES:
             key = self.scan.duration_key
-            raise ValueError(f"{key}: found {found:.3g} samples a scan; {MIN_SAMPLES} or more are expected")
+            raise ValueError(f"{key}: found {samples:.3g} samples a scan; {MIN_SAMPLES} or more are expected")
         return self
 
     def _readout_fits(self) -> None:
