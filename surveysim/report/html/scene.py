@@ -196,7 +196,8 @@ def _layers(air: Values) -> str:
     seconds = air["decorrelation_time_s"]
     kind = "frozen" if seconds is None else f"slowly changing ({short(seconds)} s)"
     if air["profile"]:
-        return f"{kind.capitalize()} layers of an {air['profile']} profile of scale height {short(air['water_scale_height_m'])} m"
+        height = short(air["water_scale_height_m"])
+        return f"{kind.capitalize()} layers of an {air['profile']} profile of scale height {height} m"
     if air["layers"]:
         return f"{len(air['layers'])} {kind} layers"
     return f"One {kind} layer {short(air['layer_height_m'])} m above the telescope"

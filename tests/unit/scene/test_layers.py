@@ -43,7 +43,7 @@ def test_layers_take_what_they_leave_out_from_the_atmosphere(path):
 
 
 def test_wind_in_m_s_is_that_of_the_reference_height(path):
-    """The drawn angular speed is that at 1000 m; with equal speeds in m/s a layer at 500 m is twice as fast in angle."""
+    """The drawn angular speed is that at 1000 m; at equal speeds in m/s a layer at 500 m is twice as fast."""
     atmosphere = air(path, layers=[LOW, HIGH])
     assert [wind_factor(atmosphere, layer) for layer in layer_sections(atmosphere)] == pytest.approx([2, 1.5])
 
