@@ -29,6 +29,8 @@ class RandomPurpose(IntEnum):
     JACKKNIFE = 11
     TREND = 12
     CALIBRATION = 13
+    EVOLUTION = 15
+    WIND_DRIFT = 16
 
 
 @dataclass(frozen=True)
