@@ -5,10 +5,11 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from surveysim.atmosphere.dated_weather import DatedWeather
 from surveysim.atmosphere.opacity import BandOpacity, slant_factor
 from surveysim.atmosphere.water import Season, driest_mm, pwv_quantile, wettest_mm
 from surveysim.runtime.errors import InputError, OutOfRangeError, SceneError
@@ -89,6 +90,17 @@ class Draws(Protocol):
         ...
 
 
+class _Scores(NamedTuple):
+    """Draws of an observation: standard normal levels of B2 (or water fluctuation) and wind speed, a wind direction
+    [rad], and a probability of the water.
+    """
+
+    level: float
+    speed: float
+    angle: float
+    share: float
+
+
 @lru_cache(maxsize=8)
 def site_water(atmosphere: Atmosphere, place: Place, band: Passband) -> Water:
     """Response of a band to the water vapour of a scene's site.
@@ -129,10 +141,14 @@ def site_water(atmosphere: Atmosphere, place: Place, band: Passband) -> Water:
 
 @lru_cache(maxsize=10_000)  # checks, forecasts and points of a sweep have weather in common
 def survey_weather(
-    atmosphere: Atmosphere, water: Water | None, seed: int, observation: int, *, when: Season | None
+    atmosphere: Atmosphere, water: Water | None, seed: int, observation: int, *, dated: DatedWeather | None
 ) -> Weather:
     """Draw the weather of one observation of a survey; raises as `draw_weather`."""
-    return draw_weather(atmosphere, water, generator(seed, RandomPurpose.WEATHER, observation), when)
+    when = dated.season(observation) if dated else None
+    if dated is None or dated.scores is None:
+        return draw_weather(atmosphere, water, generator(seed, RandomPurpose.WEATHER, observation), when)
+    level, speed, share, angle = dated.scores[observation].tolist()
+    return _drawn(atmosphere, water, _Scores(level, speed, angle, share), when)
 
 
 def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: Draws, when: Season | None = None) -> Weather:
@@ -151,9 +167,12 @@ def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: Draws, when: 
     """
     level, speed = rng.standard_normal(2)
     angle = rng.uniform(0, 2 * math.pi)
-    share = rng.random()
-    pwv = math.nan if water is None else float(pwv_quantile(atmosphere, share, when))
-    return _weather(atmosphere, water, level=level, speed=speed, angle=angle, pwv_mm=pwv)
+    return _drawn(atmosphere, water, _Scores(level, speed, angle, rng.random()), when)
+
+
+def _drawn(atmosphere: Atmosphere, water: Water | None, scores: _Scores, when: Season | None) -> Weather:
+    pwv = math.nan if water is None else float(pwv_quantile(atmosphere, scores.share, when))
+    return _weather(atmosphere, water, level=scores.level, speed=scores.speed, angle=scores.angle, pwv_mm=pwv)
 
 
 def fastest_wind(atmosphere: Atmosphere, water: Water | None, n_observations: int) -> float:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from mapmaker.uncertainty import FEWEST, draws
 from surveysim.atmosphere.water import pwv_quantile
 from surveysim.reduction.setup import Setup
 from surveysim.scene.detector_table import KEY
@@ -164,6 +165,18 @@ def _arcmin(angle: float) -> str:
     return f"{math.degrees(angle) * 60:.3g} arcmin"
 
 
+def _few_spells(setup: Setup) -> str:
+    """Warn of drifting weather with too few independent spells for an error from their scatter."""
+    block, scene = setup.air.block(setup.scene.observations), setup.scene
+    if block is None or scene.score is None or (found := draws(len(block), block)) >= FEWEST:
+        return ""
+    return (
+        f"atmosphere.correlation_time: with {scene.atmosphere.correlation_time_s / 3600:.3g} h the observations have"
+        f" {found} independent spells of weather. The error of sigma(A) is unknown below {FEWEST}, and below 4 where there"
+        " is a forecast."
+    )
+
+
 CHECKS: tuple[Callable[[Setup], str], ...] = (
     _sampling,
     _diffraction,
@@ -175,4 +188,5 @@ CHECKS: tuple[Callable[[Setup], str], ...] = (
     _unused_efficiency,
     _conversions,
     _lost_samples,
+    _few_spells,
 )

@@ -10,7 +10,8 @@ import numpy as np
 
 from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.geometry import MapGeometry, covering_geometry
-from surveysim.atmosphere.water import Season, seasons
+from surveysim.atmosphere.dated_weather import DatedWeather, drifting_weather, seasonal_weather
+from surveysim.atmosphere.water import seasons
 from surveysim.atmosphere.weather import Water, site_water
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline, pipelines
@@ -120,7 +121,7 @@ class _Common:
     geometry: MapGeometry
     sky_geometry: MapGeometry
     times: Schedule | None
-    seasons: tuple[Season, ...] | None
+    dated: DatedWeather | None
     strips: "SlantStrips | None"
 
 
@@ -151,7 +152,7 @@ def _common(scene: Scene) -> _Common:
         # Half a map pixel holds the beam's multipoles with room to spare.
         _geometry(scene, reach, scene.map.pixel_rad / 2),
         times,
-        _seasons(scene, times),
+        _dated_weather(scene, times),
         layer_strips(scene, extent),
     )
 
@@ -182,7 +183,7 @@ def _simulation(scene: Scene, common: _Common) -> Simulation:
         scene=scene,
         camera=cam_setup,
         observing=ObservingSetup(scene, common.pattern, common.scans, common.blocks),
-        air=AirSetup(common.strips, _water(scene), common.seasons, all_bands),
+        air=AirSetup(common.strips, _water(scene), common.dated, all_bands),
         sky=SkySetup(scene, common.sky_geometry, tuple(cam_setup.beams.fwhm_rad.tolist())),
     )
 
@@ -323,11 +324,15 @@ def _water(scene: Scene) -> Water | None:
     return None if place is None else site_water(scene.atmosphere, place, scene.instrument.band)
 
 
-def _seasons(scene: Scene, times: Schedule | None) -> tuple[Season, ...] | None:
-    """Seasons of all observations; None without a schedule or without water by month."""
-    if times is None or scene.atmosphere is None or not scene.atmosphere.pwv_by_month:
+def _dated_weather(scene: Scene, times: Schedule | None) -> DatedWeather | None:
+    """Dependence of the weather on the dates of all observations; None without a schedule or without it."""
+    air = scene.atmosphere
+    if times is None or air is None:
         return None
-    return seasons(times.start_mjd, scene.schedule.longitude_rad)
+    by_month = seasons(times.start_mjd, scene.schedule.longitude_rad) if air.pwv_by_month else None
+    if air.correlation_time_s is not None:
+        return drifting_weather(scene.seed, tuple(times.start_mjd.tolist()), air.correlation_time_s, by_month)
+    return seasonal_weather(by_month) if by_month else None
 
 
 def signal_sim_observations(scene: Scene) -> np.ndarray:

@@ -12,6 +12,7 @@ from surveysim.scene.fields import (
     FLUCTUATION_MAX,
     FLUCTUATION_MIN,
     B2s,
+    Duration,
     Fluctuations,
     Index,
     Length,
@@ -77,6 +78,15 @@ class Atmosphere(Section):
     """Standard deviation of the natural logarithm of the wind speed."""
     wind_b2_exponent: Annotated[float, *number(-2, 2)] = 0.0
     """Exponent of the median wind speed as a power of B2 over its median."""
+    correlation_time_s: Duration | None = Field(alias="correlation_time", default=None)
+    """Time in which the weather of the observations drifts: water, B2 (or the water fluctuation) and wind of two
+    observations correlate by exp(-lag / time). Their distributions stay the same. It needs a [schedule]. Without it
+    observations have independent weather."""
+
+    @property
+    def dated_key(self) -> str:
+        """Key that needs the dates of the observations; empty without one."""
+        return "" if self.correlation_time_s is None else "correlation_time"
 
     @model_validator(mode="before")
     @classmethod

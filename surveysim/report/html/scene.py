@@ -185,6 +185,8 @@ def _atmosphere(air: Values) -> Iterator[str]:
     yield f"a scatter of {short(air['wind_log_scatter'])} in the logarithm and all directions."
     if air["wind_b2_exponent"]:
         yield f"Their median is proportional to B2^({short(air['wind_b2_exponent'])})."
+    if air["correlation_time_s"] is not None:
+        yield f"Weather drifts: observations correlate by exp(-lag / {short(air['correlation_time_s'] / 3600)} h)."
 
 
 def _excess(excess: Values) -> Iterator[str]:
