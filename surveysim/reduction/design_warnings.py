@@ -172,8 +172,7 @@ def _few_spells(setup: Setup) -> str:
         return ""
     return (
         f"atmosphere.correlation_time: with {scene.atmosphere.correlation_time_s / 3600:.3g} h the observations have"
-        f" {found} independent spells of weather. The error of sigma(A) is unknown below {FEWEST}, and below 4 where there"
-        " is a forecast."
+        f" {found} independent spells of weather. The error of sigma(A) needs {FEWEST}, or 4 where there is a forecast."
     )
 
 
