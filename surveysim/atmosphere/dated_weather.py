@@ -1,6 +1,7 @@
-"""Weather that depends on the dates of a survey's observations: seasons, and drift from one to the next."""
+"""Weather that depends on the dates of a survey's observations: seasons, tables, and drift from one to the next."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import accumulate
 
@@ -10,6 +11,7 @@ from surveysim.atmosphere.water import Season
 from surveysim.runtime.rng import RandomPurpose, generator
 
 DAY_S = 86400.0
+Known = tuple[tuple[str, tuple[float, ...]], ...]  # columns by name
 APART = 3.0  # correlation times between observations whose weather counts as independent: they correlate by 5 %
 LONGEST = 10.0  # correlation times in a block of observations: the error from such blocks is 5 % low
 
@@ -22,6 +24,9 @@ class DatedWeather:
     ----------
     seasons
         Season of each observation; None unless the water depends on it.
+    known
+        Values (n_obs,) of a table by the name of the column, in place of draws: water [mm], B2 or water fluctuation,
+        wind speed [rad/s] and direction in azimuth-elevation axes [rad].
     scores : (n_obs, 4)
         Draws of each observation, as `drifting_scores`; None for independent ones.
     block : (n_obs,)
@@ -31,33 +36,38 @@ class DatedWeather:
     """
 
     seasons: tuple[Season, ...] | None = None
+    known: Mapping[str, np.ndarray] = field(default_factory=dict)
     scores: np.ndarray | None = None
     block: np.ndarray | None = None
     variance_factor: float = 1.0
 
-    def season(self, observation: int) -> Season | None:
-        """Season of an observation; None unless the water depends on it."""
-        return None if self.seasons is None else self.seasons[observation]
+    def of(self, observation: int) -> tuple[Season | None, dict[str, float]]:
+        """Season of an observation, None unless the water depends on it, and known values by column."""
+        season = None if self.seasons is None else self.seasons[observation]
+        return season, {name: float(values[observation]) for name, values in self.known.items()}
 
 
 @lru_cache(maxsize=8)  # points of a sweep have weather in common
-def drifting_weather(
-    seed: int, start_mjd: tuple[float, ...], correlation_s: float, seasons: tuple[Season, ...] | None
+def dated_weather(
+    seed: int,
+    start_mjd: tuple[float, ...],
+    *,
+    correlation_s: float | None = None,
+    seasons: tuple[Season, ...] | None = None,
+    known: Known | None = None,
 ) -> DatedWeather:
-    """Return the weather of observations at some times (n_obs,) [MJD] whose weather drifts."""
+    """Return the weather of observations at some times (n_obs,) [MJD], with what is known of each."""
+    values = {name: np.array(column) for name, column in known or ()}
+    if correlation_s is None:
+        return DatedWeather(seasons, values)
     start_s = np.array(start_mjd) * DAY_S
     return DatedWeather(
         seasons,
+        values,
         drifting_scores(seed, start_s, correlation_s),
         independent_blocks(start_s, correlation_s),
         variance_factor(start_s, correlation_s),
     )
-
-
-@lru_cache(maxsize=8)
-def seasonal_weather(seasons: tuple[Season, ...]) -> DatedWeather:
-    """Return the weather of observations that are independent draws, each of its season."""
-    return DatedWeather(seasons)
 
 
 def drifting_scores(seed: int, start_s: np.ndarray, correlation_s: float) -> np.ndarray:

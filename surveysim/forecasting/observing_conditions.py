@@ -136,8 +136,11 @@ def _population(
         points = (shift + np.outer(np.arange(_DRAWS_A_SHIFT), _lattice_steps())) % 1
         numbers = np.minimum((points[:, -1] * n_obs).astype(int), n_obs - 1)
         draws = map(_QuasiRandomDraws, points[:, :-1])
-        dates = (dated.season(number) if dated else None for number in numbers)
-        weather = [draw_weather(air, water, *item) if air else None for item in zip(draws, dates, strict=True)]
+        dates = (dated.of(number) if dated else () for number in numbers)
+        weather = [
+            draw_weather(air, water, numbers_of, *date) if air else None
+            for numbers_of, date in zip(draws, dates, strict=True)
+        ]
         lists.append(tuple(zip(numbers.tolist(), weather, strict=True)))
     return tuple(lists)
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from mapmaker.uncertainty import FEWEST, draws
-from surveysim.atmosphere.water import pwv_quantile
+from surveysim.atmosphere.weather import survey_pwv_quantile
 from surveysim.reduction.setup import Setup
 from surveysim.scene.detector_table import KEY
 from surveysim.telescope.optics import scene_chain
@@ -134,7 +134,7 @@ def _conversions(setup: Setup) -> str:
     if scene.photon is None or scene.photon.psd_mk2_hz is not None:
         return ""
     water, elevation_rad = setup.air.water, float(setup.observing.angles.elevation_rad.mean())
-    pwv_mm = math.nan if water is None else float(pwv_quantile(scene.atmosphere, 0.5))
+    pwv_mm = math.nan if water is None else float(survey_pwv_quantile(scene.atmosphere, setup.air.dated, 0.5))
     chain = scene_chain(scene, water.opacity if water else None, pwv_mm, elevation_rad)
     whole, band = chain.w_per_k / chain.w_per_k_cmb, scene.instrument.cmb_per_rj
     if abs(whole / band - 1) <= MOST_APART:

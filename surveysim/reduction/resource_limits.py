@@ -59,7 +59,7 @@ def check_layer(
     if drawn:
         wind = _drawn_wind(scene.atmosphere, air.water, scene.seed, scene.observations, dated=air.dated)
     else:
-        wind = fastest_wind(scene.atmosphere, air.water, scene.observations)
+        wind = fastest_wind(scene.atmosphere, air.water, scene.observations, dated=air.dated)
     return _check_strip(air.strips, wind, radius_rad, scans, lowest_rad)
 
 

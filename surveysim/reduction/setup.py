@@ -10,8 +10,7 @@ import numpy as np
 
 from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.geometry import MapGeometry, covering_geometry
-from surveysim.atmosphere.dated_weather import DatedWeather, drifting_weather, seasonal_weather
-from surveysim.atmosphere.water import seasons
+from surveysim.atmosphere.dated_weather import DatedWeather
 from surveysim.atmosphere.weather import Water, site_water
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline, pipelines
@@ -35,9 +34,10 @@ from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory
 from surveysim.reduction.response_checks import check_response
 from surveysim.reduction.scored_region import padded_side, patch_side
 from surveysim.reduction.signal_sims import carriers
-from surveysim.runtime.errors import InputError, SceneError
+from surveysim.runtime.errors import InputError, OutOfRangeError, SceneError
 from surveysim.scene.bands import errors_of
 from surveysim.scene.scene import Scene
+from surveysim.scene.weather_table import KEY as TABLE_KEY
 from surveysim.telescope.diffraction import with_beam
 from surveysim.telescope.focal_plane import Camera, CameraExtent, camera, camera_extent, mask_by_separation
 from surveysim.telescope.noise_levels import stop_emits
@@ -46,7 +46,7 @@ from surveysim.telescope.pointing import Schedule
 from surveysim.telescope.pointing_errors import true_focal_plane
 from surveysim.telescope.responsivity import assumed_responsivity, camera_responsivity
 from surveysim.telescope.scan_pattern import ScanPattern, scan_pattern
-from surveysim.telescope.scans import Scans, mid_times, samples_per_scan
+from surveysim.telescope.scans import Scans, duration_s, mid_times, samples_per_scan
 from surveysim.telescope.table_checks import check_table
 from surveysim.telescope.time_constants import assumed_time_constants, true_time_constants
 from surveysim.timestreams.scan_blocks import Block, scan_blocks
@@ -61,6 +61,7 @@ from surveysim.timestreams.simulation import (
     observing_schedule,
     observing_site,
 )
+from surveysim.timestreams.survey_weather import survey_dates
 
 SAMPLE_S = 8e-8  # of a detector-sample, about
 SIGNAL_SIMS = 1.2  # time of the signal simulations of an observation, about, in that of its other work
@@ -152,7 +153,7 @@ def _common(scene: Scene) -> _Common:
         # Half a map pixel holds the beam's multipoles with room to spare.
         _geometry(scene, reach, scene.map.pixel_rad / 2),
         times,
-        _dated_weather(scene, times),
+        survey_dates(scene, times, duration_s=duration_s(scans)),
         layer_strips(scene, extent),
     )
 
@@ -183,7 +184,7 @@ def _simulation(scene: Scene, common: _Common) -> Simulation:
         scene=scene,
         camera=cam_setup,
         observing=ObservingSetup(scene, common.pattern, common.scans, common.blocks),
-        air=AirSetup(common.strips, _water(scene), common.dated, all_bands),
+        air=AirSetup(common.strips, _water(scene, common.dated), common.dated, all_bands),
         sky=SkySetup(scene, common.sky_geometry, tuple(cam_setup.beams.fwhm_rad.tolist())),
     )
 
@@ -319,20 +320,16 @@ def _lowest(scene: Scene, cam: Camera, times: Schedule | None, mid_time_s: np.nd
     return check_motion(scene, cam, observing_site(scene), times, mid_time_s)
 
 
-def _water(scene: Scene) -> Water | None:
-    place = scene.place
-    return None if place is None else site_water(scene.atmosphere, place, scene.instrument.band)
-
-
-def _dated_weather(scene: Scene, times: Schedule | None) -> DatedWeather | None:
-    """Dependence of the weather on the dates of all observations; None without a schedule or without it."""
-    air = scene.atmosphere
-    if times is None or air is None:
+def _water(scene: Scene, dated: DatedWeather | None) -> Water | None:
+    if (place := scene.place) is None:
         return None
-    by_month = seasons(times.start_mjd, scene.schedule.longitude_rad) if air.pwv_by_month else None
-    if air.correlation_time_s is not None:
-        return drifting_weather(scene.seed, tuple(times.start_mjd.tolist()), air.correlation_time_s, by_month)
-    return seasonal_weather(by_month) if by_month else None
+    water = site_water(scene.atmosphere, place, scene.instrument.band)
+    if dated is not None and "pwv" in dated.known:
+        try:
+            water.response(dated.known["pwv"])
+        except OutOfRangeError as error:
+            raise SceneError(f"{TABLE_KEY}: {error}") from None
+    return water
 
 
 def signal_sim_observations(scene: Scene) -> np.ndarray:

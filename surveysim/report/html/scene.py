@@ -185,6 +185,8 @@ def _atmosphere(air: Values) -> Iterator[str]:
     yield f"a scatter of {short(air['wind_log_scatter'])} in the logarithm and all directions."
     if air["wind_b2_exponent"]:
         yield f"Their median is proportional to B2^({short(air['wind_b2_exponent'])})."
+    if air["weather_table"] is not None:
+        yield f"The table {PurePath(air['weather_table']).name} replaces distributions of its columns."
     if air["correlation_time_s"] is not None:
         yield f"Weather drifts: observations correlate by exp(-lag / {short(air['correlation_time_s'] / 3600)} h)."
 
