@@ -220,6 +220,7 @@ class Atmosphere(Section):
         for name in ("profile_layers", "water_scale_height_m"):
             if self.profile is None and getattr(self, name) is not None:
                 raise ValueError(f"{name.removesuffix('_m')}: found without 'profile', which it belongs to")
+
     def _table_fits(self, table: WeatherTable) -> None:
         """Raise ValueError for a table of weather with columns that the other keys have no use for."""
         for name in ("pwv", "water_fluctuation"):
