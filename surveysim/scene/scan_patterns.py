@@ -7,6 +7,7 @@ from pydantic import Field
 from surveysim.scene.fields import AngleExtent, Duration, DurationExtent, Speed, whole
 from surveysim.scene.scan_figures import DaisyScan, LissajousScan, PongScan
 from surveysim.scene.scan_section import MOST_SCANS, ScanSection
+from surveysim.scene.scan_track import TrackScan
 from surveysim.scene.unions import union_of
 
 
@@ -33,7 +34,7 @@ class RasterScan(ScanSection):
         return self.speed_rad_s
 
 
-SCAN_SECTIONS: tuple[type[ScanSection], ...] = (RasterScan, DaisyScan, LissajousScan, PongScan)
+SCAN_SECTIONS: tuple[type[ScanSection], ...] = (RasterScan, DaisyScan, LissajousScan, PongScan, TrackScan)
 
 
 if TYPE_CHECKING:

@@ -41,6 +41,11 @@ class ScanSection(Section):
         """Key and value that need the horizon of a schedule; empty without any."""
         return ""
 
+    @property
+    def most_observations(self) -> int | None:
+        """Number of observations that the pattern has; None for any."""
+        return None
+
     if TYPE_CHECKING:
 
         @property

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from surveysim.scene.scan_patterns import RasterScan
-from surveysim.telescope.horizon_frame import HorizonFrame
+from surveysim.telescope.directions import FieldCentre
+from surveysim.telescope.horizon_frame import HorizonFrame, Horizons
 from surveysim.telescope.scans import ScanPath, Scans, mid_times, samples_per_scan, timing
 
 
@@ -22,12 +23,12 @@ class Raster(Scans):
     step_rad: float
 
 
-def scene_raster(section: RasterScan) -> Raster:
+def scene_raster(section: RasterScan, centre: FieldCentre) -> Raster:
     """Make the raster of a section [scan]."""
     return Raster(**timing(section), step_rad=section.step_rad)
 
 
-def raster_extent(raster: Raster) -> float:
+def raster_extent(raster: Raster, horizons: Horizons | None) -> float:
     """Compute the largest offset from the centre of the pattern, along either axis [rad]."""
     return max(raster.speed_rad_s * raster.scan_s / 2, raster.step_rad * (raster.n_scans - 1) / 2)
 
