@@ -2,28 +2,34 @@
 
 import numpy as np
 
+from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import Scene
 from surveysim.telescope.horizon_frame import Horizons, to_horizon
-from surveysim.telescope.mount_limits import Motion, check_motion_limits
+from surveysim.telescope.mount_limits import Motion, limit_excess
 from surveysim.telescope.pointing import Schedule, fixed_horizon, near_angles
 from surveysim.telescope.scan_pattern import ScanPattern
 from surveysim.telescope.scans import Scans, mid_times
 from surveysim.timestreams.simulation import observing_site, survey_horizons
 
+ROUNDING = 1e-6  # by which a track may exceed a limit
 CHECKED = 8  # observations whose tracks are checked, of many
 
 
 def check_mount(scene: Scene, pattern: ScanPattern, scans: Scans, times: Schedule | None) -> None:
-    """Raise SceneError for a track that is too fast for the mount; nothing is computed without [telescope].
+    """Raise SceneError, with the largest excess, for tracks that are too fast; without [telescope] nothing is computed.
 
     Of many observations those nearest to the zenith are checked, where azimuths move fastest, and as many others.
     """
     if scene.telescope is None:
         return
     horizons = survey_horizons(scene, times)
+    worst = (0.0, "")
     for number in _checked(scene, times, mid_times(scans)):
         motion = observation_motion(scene, pattern, scans, number, horizons)
-        check_motion_limits(scene.telescope, motion.thinned(scans.known_step_s), number)
+        found = limit_excess(scene.telescope, motion.thinned(scans.known_step_s), number)
+        worst = found if found[0] > worst[0] * (1 + ROUNDING) else worst
+    if worst[0] > 1 + ROUNDING:
+        raise SceneError(worst[1])
 
 
 def observation_motion(

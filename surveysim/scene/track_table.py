@@ -279,5 +279,7 @@ def _numbers(names: Sequence[str], rows: Iterator[list[str]]) -> Iterator[list[f
             try:
                 values.append(float({"True": "1", "False": "0"}.get(cell, cell)))
             except ValueError:
-                raise InputError(f"row {number}, column {name!r}: found {shown(cell)}; a number is expected") from None
+                raise InputError(
+                    f"row {number}, column {name!r}: found {shown(cell.strip())}; a number is expected"
+                ) from None
         yield values

@@ -4,13 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surveysim.runtime.errors import SceneError
 from surveysim.scene.telescope import TelescopeSection
 
 AXES = ("azimuth", "elevation")
 NAMES = ("velocity", "acceleration", "jerk")
 _UNITS = ("deg / s", "deg / s2", "deg / s3")
-ROUNDING = 1e-6  # by which a track may exceed a limit
 
 
 @dataclass(frozen=True)
@@ -34,18 +32,28 @@ class Motion:
         return Motion(self.time_s[::every], self.azimuth_rad[::every], self.elevation_rad[::every])
 
 
-def check_motion_limits(section: TelescopeSection, motion: Motion, observation: int) -> None:
-    """Raise SceneError for the first limit that a track exceeds, where it exceeds it most."""
+def limit_excess(section: TelescopeSection, motion: Motion, observation: int) -> tuple[float, str]:
+    """Compare a track with all limits.
+
+    Returns
+    -------
+    ratio
+        Largest ratio of a derivative to its limit; 0 without limits.
+    sentence
+        Error about it: key, found, where and when, allowed.
+    """
+    worst = (0.0, "")
     for axis in AXES:
         found = derivatives(motion.time_s, getattr(motion, f"{axis}_rad"))
         for order, (time_s, values) in enumerate(found, start=1):
             limit = section.limit(axis, order)
             if limit is not None and len(values):
-                worst = int(np.argmax(np.abs(values)))
-                if abs(values[worst]) > limit * (1 + ROUNDING):
-                    elevation = np.interp(time_s[worst], motion.time_s, motion.elevation_rad)
-                    where = f"observation {observation} at {np.degrees(elevation):.1f} deg elevation"
-                    raise _too_fast(axis, order, abs(values[worst]), limit, f"{where}, {time_s[worst]:.4g} s")
+                most = int(np.argmax(np.abs(values)))
+                elevation = np.interp(time_s[most], motion.time_s, motion.elevation_rad)
+                where = f"observation {observation} at {np.degrees(elevation):.1f} deg elevation, {time_s[most]:.4g} s"
+                sentence = _too_fast(axis, order, abs(values[most]), limit, where)
+                worst = max(worst, (float(abs(values[most])) / limit, sentence))
+    return worst
 
 
 def derivatives(time_s: np.ndarray, values: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
@@ -70,9 +78,9 @@ def _middles(values: np.ndarray) -> np.ndarray:
     return (values[1:] + values[:-1]) / 2
 
 
-def _too_fast(axis: str, order: int, found: float, limit: float, where: str) -> SceneError:
+def _too_fast(axis: str, order: int, found: float, limit: float, where: str) -> str:
     name, unit = NAMES[order - 1], _UNITS[order - 1]
-    return SceneError(
+    return (
         f"telescope.max_{axis}_{name}: found {np.degrees(found):.4g} {unit} in {where} after its start;"
         f" {np.degrees(limit):.4g} {unit} or less is expected"
     )
