@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surveysim.scene.scan_figures import DaisyScan
-from surveysim.telescope.directions import FieldCentre
+from surveysim.telescope.directions import FieldCentre, Site
 from surveysim.telescope.patterns.figures import Figure, figure_keys
 
 
@@ -37,7 +37,7 @@ class Daisy(Figure):
         return self.radius_rad
 
 
-def scene_daisy(section: DaisyScan, centre: FieldCentre) -> Daisy:
+def scene_daisy(section: DaisyScan, centre: FieldCentre, site: Site | None) -> Daisy:
     """Make the daisy of a section [scan]."""
     return Daisy(
         **figure_keys(section),

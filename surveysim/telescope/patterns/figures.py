@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from surveysim.scene.scan_figures import FigureScan
-from surveysim.telescope.horizon_frame import HorizonFrame, Horizons, to_horizon
+from surveysim.telescope.horizon_frame import HorizonFrame, to_horizon
 from surveysim.telescope.scans import ScanPath, Scans, sample_times, timing
 
 
@@ -58,8 +58,8 @@ def figure_keys(section: FigureScan) -> dict[str, Any]:
     }
 
 
-def figure_extent(figure: Figure, horizons: Horizons | None) -> float:
-    """Compute the largest offset from the centre along either axis of the sky, in any observation [rad]."""
+def figure_extent(figure: Figure, lowest_rad: float) -> float:
+    """Compute the largest offset from the centre along either axis of the sky, at any elevation [rad]."""
     return figure.extent_rad()
 
 

@@ -8,17 +8,18 @@ from mapmaker.geometry import MapGeometry, plane_offsets
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scan_track import TrackScan
 from surveysim.scene.track_table import TrackTable
-from surveysim.telescope.directions import FieldCentre
-from surveysim.telescope.horizon_frame import HorizonFrame, Horizons, from_horizon
+from surveysim.telescope.directions import FieldCentre, Site
+from surveysim.telescope.horizon_frame import HorizonFrame, from_horizon
 from surveysim.telescope.scans import ScanPath, Scans, sample_times, timing
 
 
 @dataclass(frozen=True, kw_only=True)
 class Track(Scans):
-    """Track of a table about the centre of a field, and whether its interpolation is cubic."""
+    """Track of a table, with the field and the site that it is for, and whether its interpolation is cubic."""
 
     table: TrackTable = field(repr=False)
     centre: FieldCentre
+    site: Site | None
     cubic: bool
 
     @property
@@ -32,19 +33,20 @@ class Track(Scans):
         return self.table.start_mjd
 
 
-def scene_track(section: TrackScan, centre: FieldCentre) -> Track:
+def scene_track(section: TrackScan, centre: FieldCentre, site: Site | None) -> Track:
     """Make the track of a section [scan]."""
-    return Track(**timing(section), table=section.table, centre=centre, cubic=section.interpolation == "cubic")
+    return Track(
+        **timing(section), table=section.table, centre=centre, site=site, cubic=section.interpolation == "cubic"
+    )
 
 
-def track_extent(track: Track, horizons: Horizons | None) -> float:
+def track_extent(track: Track, lowest_rad: float) -> float:
     """Compute the largest offset of a row from the centre, along either axis [rad]."""
-    largest = 0.0
-    for number in range(track.table.n_obs):
-        frame = horizons.of(number) if horizons is not None and number < len(horizons.start_mjd) else None
-        if frame is not None or not track.table.on_horizon:
-            largest = max(largest, float(np.abs(_rows(track, number, frame)).max()))
-    return largest
+    table, site = track.table, track.site
+    frames: list[HorizonFrame | None] = [None] * table.n_obs
+    if table.start_mjd is not None and site is not None:
+        frames = [HorizonFrame(track.centre, site, float(start)) for start in table.start_mjd]
+    return max(float(np.abs(_rows(track, number, frame)).max()) for number, frame in enumerate(frames))
 
 
 def track_path(track: Track, observation: int, dither: np.ndarray, frame: HorizonFrame | None) -> ScanPath:
