@@ -138,7 +138,7 @@ def test_low_fields_and_azimuths_without_a_schedule_are_refused(tmp_path):
         scene(tmp_path)
     low = tmp_path / "low"
     low.mkdir()
-    csv(low, "mjd [d], ra [deg], dec [deg]", MJD + 0.1 + time_s / 86400, 132.3 + time_s / 1e4, 44.8 + 0 * time_s)
+    csv(low, "mjd [d], ra [deg], dec [deg]", MJD + 0.5 + time_s / 86400, 132.3 + time_s / 1e4, 44.8 + 0 * time_s)
     with pytest.raises(
         SceneError, match=r"scan.file: found the field at .* in observation 0; schedule.min_elevation, 40"
     ):
