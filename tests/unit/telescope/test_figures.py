@@ -69,7 +69,7 @@ COMMON = {"duration": "2 hour", "chunk": "2 hour", "dither": "0 deg", "sample_ra
 
 
 def figure(section):
-    return scan_pattern(section).scans(section)
+    return scan_pattern(section).scans(section, FieldCentre(0.0, 0.0), None)
 
 
 def daisy(**keys):
