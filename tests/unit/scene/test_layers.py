@@ -57,13 +57,13 @@ def test_spectra_of_other_indices_agree_at_the_pivot(path):
 
 
 def test_exponential_profile(path):
-    """Moments of height with the weight h^(5/3) exp(-2 h / H) are those of the gamma distribution."""
+    """Shares over h^(5/3) are weights of a quadrature for exp(-2 h / H), whose moments are factorials."""
     atmosphere = air(path, profile="exponential", profile_layers=3, water_scale_height="2 km")
     layers = layer_sections(atmosphere)
     height, share = (np.array([getattr(layer, key) for layer in layers]) for key in ("height_m", "share"))
-    shape, scale = 8 / 3, 1000
-    assert share.sum() == pytest.approx(1) and share @ height == pytest.approx(shape * scale)
-    assert share @ height**2 == pytest.approx(shape * (shape + 1) * scale**2)
+    weight = share / height ** (5 / 3)
+    moments = [weight @ (height / 1000) ** power / weight.sum() for power in range(6)]
+    assert moments == pytest.approx([1, 1, 2, 6, 24, 120]) and share.sum() == pytest.approx(1)
     assert len({layer.name for layer in layers}) == 3
 
 
