@@ -13,7 +13,7 @@ times x^(b - 2).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from surveysim.runtime.errors import OutOfRangeError, SceneError
@@ -128,6 +128,16 @@ def layer_screen(air: Atmosphere, layer: LayerSection) -> "Screen":
         return Screen(layer.spectral_index, air.illuminated_aperture_m / layer.height_m, outer)
     except OutOfRangeError as error:
         raise SceneError(f"atmosphere: {error}") from None
+
+
+def dominant_wind(air: Atmosphere, weather: "Weather") -> "Weather":
+    """Weather with the wind of the layer with the largest share of B2, in place of the drawn one."""
+    layer = dominant_layer(air)
+    return replace(
+        weather,
+        wind_speed_rad_s=weather.wind_speed_rad_s * wind_factor(air, layer),
+        wind_angle_rad=weather.wind_angle_rad + layer.wind_turn_rad,
+    )
 
 
 def dominant_layer(air: Atmosphere) -> LayerSection:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from surveysim.atmosphere.layers import b2_factor, dominant_layer, layer_sections, wind_factor
+from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
 from tests.refusals import scene_refusal
@@ -100,6 +101,24 @@ def test_a_site_has_a_scale_height(path):
 def test_refusals(path, keys, words):
     text = scene_refusal(path, {f"atmosphere.{key}": value for key, value in keys.items()})
     assert all(word in text for word in words), text
+
+
+@pytest.mark.parametrize(
+    "keys, words",
+    [
+        ({"decorrelation_time": "0.5 s"}, ("atmosphere.decorrelation_time: found 0.5 s; 0.6 s or more",)),
+        ({"layers": [LOW, HIGH | {"decorrelation_time": "0.5 s"}]}, ("atmosphere.layers[1].decorrelation_time",)),
+        (
+            {"wind_drift": {"speed_rms": 0.1, "time_scale": "5 s"}},
+            ("atmosphere.wind_drift.time_scale: found 5 s",),
+        ),
+        ({"layers": [LOW, HIGH | {"height": "10 m", "wind_factor": 100}]}, ("tracks through the layer",)),
+    ],
+)
+def test_scans_refuse_fast_changes_and_long_tracks(path, keys, words):
+    with pytest.raises(SceneError) as error:
+        prepare(load_scene(path, {f"atmosphere.{key}": value for key, value in keys.items()}))
+    assert all(word in str(error.value) for word in words), error.value
 
 
 def test_a_profile_whose_lowest_layer_is_in_the_aperture_is_refused(path):
