@@ -4,13 +4,13 @@ import math
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.geometry import MapGeometry, covering_geometry
 from surveysim.atmosphere.dated_weather import DatedWeather
+from surveysim.atmosphere.layers import Layer
 from surveysim.atmosphere.weather import Water, site_water
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline, pipelines
@@ -50,7 +50,7 @@ from surveysim.telescope.scans import Scans, duration_s, mid_times, samples_per_
 from surveysim.telescope.table_checks import check_table
 from surveysim.telescope.time_constants import assumed_time_constants, true_time_constants
 from surveysim.timestreams.scan_blocks import Block, scan_blocks
-from surveysim.timestreams.shared_parts import layer_strips
+from surveysim.timestreams.shared_parts import air_layers
 from surveysim.timestreams.sharing import check_groups, readout_groups
 from surveysim.timestreams.simulation import (
     AirSetup,
@@ -67,9 +67,6 @@ SAMPLE_S = 8e-8  # of a detector-sample, about
 SIGNAL_SIMS = 1.2  # time of the signal simulations of an observation, about, in that of its other work
 QUICK_S = 2.0
 TYPICAL_VARIANCE = 0.04  # relative variance of sigma from one observation, about, as of a square degree
-
-if TYPE_CHECKING:
-    from surveysim.atmosphere.screen_simulation import SlantStrips
 
 
 @dataclass(frozen=True)
@@ -123,7 +120,7 @@ class _Common:
     sky_geometry: MapGeometry
     times: Schedule | None
     dated: DatedWeather | None
-    strips: "SlantStrips | None"
+    layers: tuple[Layer, ...]
 
 
 def _common(scene: Scene) -> _Common:
@@ -136,7 +133,7 @@ def _common(scene: Scene) -> _Common:
     extent = camera_extent([cameras[name] for name in sorted(cameras)])  # to the last bit the same in all bands
     pattern = scan_pattern(scene.scan)
     scans = pattern.scans(scene.scan)
-    reach = pattern.extent_rad(scans) + scans.dither_rad / 2 + extent.radius_rad
+    reach = _reach(pattern.extent_rad(scans) + scans.dither_rad / 2, extent.radius_rad)
     for name, item in bands.items():
         with errors_of(item, scene):
             check_size(item, cameras[name].n_det, reach)
@@ -154,8 +151,14 @@ def _common(scene: Scene) -> _Common:
         _geometry(scene, reach, scene.map.pixel_rad / 2),
         times,
         survey_dates(scene, times, duration_s=duration_s(scans)),
-        layer_strips(scene, extent),
+        air_layers(scene, extent),
     )
+
+
+def _reach(extent_rad: float, radius_rad: float) -> float:
+    """Bound of a detector's offsets in the tangent plane [rad], for boresights up to an extent along both axes."""
+    depth = 1 - math.sqrt(2) * extent_rad * radius_rad
+    return (extent_rad + math.sqrt(1 + 2 * extent_rad**2) * radius_rad) / depth if depth > 0 else math.inf
 
 
 def _simulation(scene: Scene, common: _Common) -> Simulation:
@@ -184,7 +187,7 @@ def _simulation(scene: Scene, common: _Common) -> Simulation:
         scene=scene,
         camera=cam_setup,
         observing=ObservingSetup(scene, common.pattern, common.scans, common.blocks),
-        air=AirSetup(common.strips, _water(scene, common.dated), common.dated, all_bands),
+        air=AirSetup(common.layers, _water(scene, common.dated), common.dated, all_bands),
         sky=SkySetup(scene, common.sky_geometry, tuple(cam_setup.beams.fwhm_rad.tolist())),
     )
 
