@@ -10,7 +10,7 @@ from mapmaker.timestreams import FocalPlane
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.setup import Setup
 from surveysim.telescope.pointing import Pointing
-from surveysim.telescope.scans import samples_per_scan
+from surveysim.telescope.scans import ScanPath, samples_per_scan
 from surveysim.timestreams.simulation import observation_path
 
 _HIT_SAMPLES = 3e7  # of the observations that represent the coverage
@@ -19,6 +19,17 @@ _MOST_HIT_SAMPLES = 3e7  # of one of them; larger ones are thinned in time
 _CELLS = 4  # along a side of the patch
 PLACES = _CELLS**2
 _DETECTORS = 64  # that represent all in the part of samples
+
+
+def samples_in_maps(path: ScanPath, every: int) -> np.ndarray:
+    """Numbers of one of `every` samples, without those of turnarounds."""
+    used = np.arange(0, len(path.time_s), every)
+    return used if path.flagged is None else used[~path.flagged[used]]
+
+
+def pointed_samples(pointing: Pointing, used: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Boresight and angle of the array of some samples, as `boresight_pixels` takes them."""
+    return pointing.xi_rad[used], pointing.eta_rad[used], pointing.array_angle_rad[used]
 
 
 def mean_hits(setup: Setup, pipeline: CleaningPipeline) -> np.ndarray:
@@ -34,10 +45,9 @@ def mean_hits(setup: Setup, pipeline: CleaningPipeline) -> np.ndarray:
     numbers = np.unique(np.minimum(2 * (np.arange(wanted) * n_obs // wanted // 2) + np.arange(wanted) % 2, n_obs - 1))
     hits = np.zeros(geometry.n_x * geometry.n_y, np.int64)
     for number in numbers:
-        _, pointing = observation_path(setup.observing, int(number))
-        angle = pointing.array_angle_rad[pointing.scan[::every]]
-        boresight = pointing.xi_rad[::every], pointing.eta_rad[::every], angle
-        for rows in row_chunks(len(plane.x_rad), len(angle)):
+        path, pointing = observation_path(setup.observing, int(number))
+        boresight = pointed_samples(pointing, samples_in_maps(path, every))
+        for rows in row_chunks(len(plane.x_rad), len(boresight[0])):
             count_samples(boresight_pixels(geometry, *boresight, plane=plane.subset(rows)), hits)
     patch = setup.analysis.region.patch
     return hits.reshape(geometry.n_y, geometry.n_x)[patch, patch] * every / len(numbers)
@@ -73,10 +83,7 @@ class Coverage:
 
     def of_samples(self, pointing: Pointing, kept: np.ndarray) -> SampleCoverage:
         """Part of some samples, by their numbers (n,), in the map."""
-        angle = pointing.array_angle_rad[pointing.scan[kept]]
-        pixel = boresight_pixels(
-            self.geometry, pointing.xi_rad[kept], pointing.eta_rad[kept], angle, plane=self.plane
-        )
+        pixel = boresight_pixels(self.geometry, *pointed_samples(pointing, kept), plane=self.plane)
         place = np.arange(len(kept)) * PLACES + self._place[pixel]
         places = np.bincount(place.ravel(), self._signal[pixel].ravel(), len(kept) * PLACES)
         return SampleCoverage(self._noise[pixel].sum(axis=0), places.reshape(len(kept), PLACES))

@@ -27,9 +27,10 @@ def dot(x, y):
 
 @njit(cache=True, nogil=True)
 def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, loose, share, own, lost):
-    """Sum the leakage E[(w(f_k - f_a) - m_a w(f_k) - l_aj o_kj)^2 + 2 n_a m_a w(f_k - f_a) w(f_k)] strength_ka power_pa.
+    """Sum the leakage E[(w(f_k - f_a) - m_a w(f_k) - l_aj o_kj)^2] strength_ka power_pa over a.
 
-    The sum is over a. The expectation takes the fitted mode j with the probability share_j, or none.
+    The expectation takes the fitted mode j with the probability share_j, or none, and the product of the first two
+    terms less the part n_a.
 
     Parameters
     ----------
@@ -45,7 +46,7 @@ def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, loos
     mean : (n_a,)
         Components m of the waves along the scan's mean.
     loose : (n_a,)
-        Part n of the product of mean and taper that averages out over the places of the taper in the scan.
+        Part n that averages out over the places of the taper in the scan.
     share : (n,)
     own : (n_k, n)
         Components o of the map modes along the fitted modes.

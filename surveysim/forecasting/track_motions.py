@@ -14,12 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surveysim.forecasting.coverage import Coverage
+from surveysim.forecasting.coverage import Coverage, samples_in_maps
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.once import keep_last
 from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.scans import ScanPath
-from surveysim.timestreams.simulation import ObservingSetup, observation_path
+from surveysim.timestreams.simulation import ObservingSetup, boresight_path, observation_path
 
 AZIMUTHS = 32  # bins of direction in half a turn; two directions at a right angle are centres of bins
 _SPEEDS, _DIRECTIONS = 4, 8  # nodes of equal weight along a curved track
@@ -99,7 +99,8 @@ def representatives(observing: ObservingSetup) -> tuple[np.ndarray, np.ndarray]:
     Even and odd observations, whose patterns may differ, have their own.
     """
     parallactic = observing.angles.parallactic_rad
-    middle, numbers = parallactic[:, parallactic.shape[1] // 2], []
+    middle = parallactic[:, parallactic.shape[1] // 2]
+    numbers: list[int] = []
     track_of = np.empty(len(middle), int)
     for first in range(min(2, len(middle))):
         those = np.arange(first, len(middle), 2)
@@ -111,11 +112,11 @@ def representatives(observing: ObservingSetup) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _tracks(setup: Setup, numbers: np.ndarray) -> list[_Track]:
-    pointed = [observation_path(setup.observing, number) for number in numbers.tolist()]
-    if all(getattr(path, "straight", True) for path, _ in pointed):
-        return [_straight_track(path) for path, _ in pointed]
+    paths = [boresight_path(setup.observing, number) for number in numbers.tolist()]
+    if all(path.straight for path in paths):
+        return [_straight_track(path) for path in paths]
     coverage = Coverage(setup, setup.analysis.pipelines[0])
-    return [_curved_track(path, pointing, coverage) for path, pointing in pointed]
+    return [_curved_track(*observation_path(setup.observing, number), coverage) for number in numbers.tolist()]
 
 
 def _straight_track(path: ScanPath) -> _Track:
@@ -126,10 +127,8 @@ def _straight_track(path: ScanPath) -> _Track:
 
 def _curved_track(path: ScanPath, pointing: Pointing, coverage: Coverage) -> _Track:
     place = (path.xi_rad + 1j * path.eta_rad).reshape(len(path.mid_time_s), -1)
-    velocity = np.gradient(place, path.time_s[1] - path.time_s[0], axis=1).ravel()
-    used = np.arange(0, len(velocity), -(-len(velocity) // _MOST_SAMPLES))
-    if getattr(path, "flagged", None) is not None:
-        used = used[~path.flagged[used]]
+    velocity = np.ravel(np.gradient(place, path.time_s[1] - path.time_s[0], axis=1))
+    used = samples_in_maps(path, -(-len(velocity) // _MOST_SAMPLES))
     seen = coverage.of_samples(pointing, used)
     return _Track(velocity[used], seen.noise, seen.places, False)
 

@@ -27,11 +27,12 @@ def turned_power(modes: Modes, amplitude: np.ndarray, directions: np.ndarray, sh
     """
     n_place, _, n = directions.shape
     along, power = np.einsum("psd,p->pd", directions, share), np.zeros(amplitude.shape[1:])
-    turned = _turned(modes, amplitude, np.pi / n * np.arange(n))
-    for number in np.flatnonzero(along.any(axis=0)):
-        steps = (number - np.arange(n)) % n  # to each direction, back across the first one where it is beyond
-        seen = np.where((np.arange(n) > number)[:, None, None, None], turned[steps].conj(), turned[steps])
-        mean = np.tensordot(directions.transpose(0, 2, 1), seen, 2)
+    used = np.flatnonzero(along.any(axis=0))
+    steps = (used[:, None] - used) % n  # to each direction, from beyond the first one where it is before
+    turned = dict(zip(found := np.unique(steps), _turned(modes, amplitude, np.pi / n * found), strict=True))
+    for number, row in zip(used, steps, strict=True):
+        seen = [turned[step].conj() if other > number else turned[step] for other, step in zip(used, row, strict=True)]
+        mean = np.tensordot(directions[:, :, used].transpose(0, 2, 1), np.array(seen), 2)
         power += np.tensordot(along[:, number], mean.real**2 + mean.imag**2, 1)
     return modes.mean(power.ravel())
 
