@@ -361,7 +361,7 @@ def mean_hits(setup: Setup, pipeline: CleaningPipeline) -> np.ndarray:
     hits = np.zeros(geometry.n_x * geometry.n_y, np.int64)
     for number in numbers:
         _, pointing = observation_path(setup.observing, int(number))
-        angle = pointing.array_angle_rad[pointing.scan[::every]]
+        angle = pointing.array_angle_rad[::every]
         boresight = pointing.xi_rad[::every], pointing.eta_rad[::every], angle
         for rows in row_chunks(len(plane.x_rad), len(angle)):
             count_samples(boresight_pixels(geometry, *boresight, plane=plane.subset(rows)), hits)

@@ -136,12 +136,12 @@ def measure(setup: Setup, streams: Timestreams, observation: int) -> Measurement
     return Measurement(
         observation=observation,
         truth=truth,
-        layer_b2=float(slant_b2(setup.air.water, [truth], [pointing.elevation_rad.mean()])[0]),
+        layer_b2=float(slant_b2(setup.air.water, [truth], [pointing.scan_elevation_rad.mean()])[0]),
         wind=wind,
-        camera_angle_rad=float(pointing.array_angle_rad[0] - pointing.parallactic_rad[0]),
+        camera_angle_rad=pointing.camera_angle_rad,
         profile=correlation_profile(scan_covariances(streams.data_mk, bounds), bins),
         track_rad=np.hypot(*(wind.velocity_rad_s - velocity).T) * seconds,
-        elevation_rad=pointing.elevation_rad,
+        elevation_rad=pointing.scan_elevation_rad,
         raw_mk2=raw_variance(setup, streams),
         map_mk2=variance,
         map_white_mk2=white,
@@ -239,7 +239,7 @@ def map_variances(setup: Setup, streams: Timestreams, pointing: Pointing, cleane
     multipoles. Both are NaN for a map with gaps.
     """
     geometry, plane = setup.analysis.geometry, streams.focal_plane
-    angle = pointing.array_angle_rad[pointing.scan]
+    angle = pointing.array_angle_rad
     index = boresight_pixels(geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
     item = bin_map(geometry, cleaned.data_mk, index, streams.scan_bounds, kept=cleaned.kept)
     signal = np.divide(item.weighted_sum, item.hits, out=np.zeros(item.hits.shape), where=item.hits > 0)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surveysim.scene.observing import Scan
+from surveysim.telescope.horizon_frame import HorizonFrame
 from surveysim.telescope.scans import ScanPath, Scans, mid_times, samples_per_scan
 
 
@@ -39,7 +40,7 @@ def raster_extent(raster: Raster) -> float:
     return max(raster.speed_rad_s * raster.scan_s / 2, raster.step_rad * (raster.n_scans - 1) / 2)
 
 
-def observation_raster(raster: Raster, observation: int, dither: np.ndarray) -> ScanPath:
+def observation_raster(raster: Raster, observation: int, dither: np.ndarray, frame: HorizonFrame | None) -> ScanPath:
     """Compute the boresight path of the observation with a number: scans along RA and along Dec in turn."""
     return raster_path(raster, ("ra", "dec")[observation % 2], dither)
 
@@ -85,4 +86,5 @@ def raster_path(raster: Raster, along: str, dither: np.ndarray) -> ScanPath:
         scan=np.repeat(k.astype(np.int64), n),
         velocity_rad_s=velocity,
         mid_time_s=mid_s,
+        straight=True,
     )

@@ -8,6 +8,7 @@ import numpy as np
 
 from surveysim.scene.observing import Scan
 from surveysim.scene.section import Section
+from surveysim.telescope.horizon_frame import HorizonFrame
 from surveysim.telescope.raster import observation_raster, raster_extent, scene_raster
 from surveysim.telescope.scans import ScanPath, Scans
 
@@ -24,7 +25,8 @@ class ScanPattern:
     scans
         Function that makes the pattern's record, with the number and timing of scans, from the section.
     path
-        Function of that record, the number of an observation and its dither (2,) [rad]: path of the boresight.
+        Function of that record, the number of an observation, its dither (2,) [rad], and the horizon during it, None at
+        fixed pointing: path of the boresight.
     extent_rad
         Function of that record: largest offset of the boresight from the centre of the pattern, along either axis.
     """
@@ -32,7 +34,7 @@ class ScanPattern:
     name: str
     section: type[Section]
     scans: Callable[[Any], Scans]
-    path: Callable[[Any, int, np.ndarray], ScanPath]
+    path: Callable[[Any, int, np.ndarray, HorizonFrame | None], ScanPath]
     extent_rad: Callable[[Any], float]
 
 

@@ -44,8 +44,12 @@ class ScanPath:
     scan : (n_samp,) int64
         Number of the scan.
     velocity_rad_s : (n_scan, 2)
-        Constant velocity (xi, eta) of each scan.
+        Mean velocity (xi, eta) of each scan.
     mid_time_s : (n_scan,)
+    straight
+        Whether the velocity is constant in every scan.
+    flagged : (n_samp,) bool, optional
+        Samples of turnarounds, which no map has; None without any.
     """
 
     time_s: np.ndarray
@@ -54,6 +58,8 @@ class ScanPath:
     scan: np.ndarray
     velocity_rad_s: np.ndarray
     mid_time_s: np.ndarray
+    straight: bool
+    flagged: np.ndarray | None = None
 
 
 def samples_per_scan(scans: Scans) -> int:

@@ -47,14 +47,14 @@ def add_layer(
     from surveysim.atmosphere.scan_trends import draw_trends
     from surveysim.atmosphere.screen_simulation import add_along_tracks, scan_tracks
 
-    block = block or Block(0, 0, len(pointing.elevation_rad))
-    sine = np.sin(pointing.elevation_rad)
+    block = block or Block(0, 0, len(pointing.scan_elevation_rad))
+    sine = np.sin(pointing.scan_elevation_rad)
     strips = setup.air.strips.at(float(sine.min()))
     bounds, rate = scan_bounds(pointing.scan), setup.observing.scans.sample_rate_hz
     motion = _layer_motion(setup, pointing, weather)
     tracks = scan_tracks(bounds, sample_rate_hz=rate, **motion, strips=strips)
     points = _strip_points(pointing, bounds, motion["layer_velocity_rad_s"], tracks=tracks, strips=strips)
-    seed, b2 = setup.scene.seed, slant_b2(setup.air.water, [weather], [pointing.elevation_rad.mean()])[0]
+    seed, b2 = setup.scene.seed, slant_b2(setup.air.water, [weather], [pointing.scan_elevation_rad.mean()])[0]
     trends = draw_trends(points, normal_deviates(seed, RandomPurpose.TREND, observation, realization=realization))
     add_along_tracks(
         data,
@@ -73,12 +73,12 @@ def add_layer(
 
 def _layer_motion(setup: Simulation, pointing: Pointing, weather: Weather) -> dict[str, Any]:
     """Compute offsets of detectors (n_scan, n_det, 2), velocities of boresight and layer (n_scan, 2), over sin(el)."""
-    slant = 1 / np.sin(pointing.elevation_rad)[:, None]
+    slant = 1 / np.sin(pointing.scan_elevation_rad)[:, None]
 
     def offsets(plane: FocalPlane) -> np.ndarray:
-        return np.stack(sky_offsets(plane, pointing.array_angle_rad), axis=-1) * slant[:, None]
+        return np.stack(sky_offsets(plane, pointing.scan_array_angle_rad), axis=-1) * slant[:, None]
 
-    layer = np.stack(sky_vector(pointing.parallactic_rad, *weather.wind_rad_s), axis=-1)
+    layer = np.stack(sky_vector(pointing.scan_parallactic_rad, *weather.wind_rad_s), axis=-1)
     return {
         "offsets_rad": offsets(setup.camera.focal_plane),
         "velocity_rad_s": pointing.velocity_rad_s * slant,
@@ -100,7 +100,7 @@ def _strip_points(
 
     first, last = bounds[:, 0], bounds[:, 1] - 1
     begin, middle = pointing.time_s[first], (pointing.time_s[first] + pointing.time_s[last]) / 2
-    slant = 1 / np.sin(pointing.elevation_rad)[:, None]
+    slant = 1 / np.sin(pointing.scan_elevation_rad)[:, None]
     boresight = np.stack([pointing.xi_rad[first], pointing.eta_rad[first]], axis=-1) * slant
     corner = boresight - _moved(layer_velocity_rad_s, middle, begin) + tracks.corner_rad
     return strip_points(strips, corner, tracks.direction, tracks.length_rad)

@@ -51,7 +51,7 @@ def add_seen_sky(
             f"found streams {data_mk.shape}, gains {gain.shape}; ({n_det}, {n_samp}), ({n_det},) are expected"
         )
     scale = 1 / grid.pixel_rad
-    angle = pointing.array_angle_rad[pointing.scan]
+    angle = pointing.array_angle_rad
     column = grid.n_x / 2 - 0.5 - pointing.xi_rad * scale
     row = grid.n_y / 2 - 0.5 + pointing.eta_rad * scale
     cos, sin = np.cos(angle) * scale, np.sin(angle) * scale
