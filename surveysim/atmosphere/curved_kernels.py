@@ -29,8 +29,7 @@ def _check_inside(data, start, stop, strip, x, y, cosine, sine, amplitude, u, v)
         raise IndexError("samples or detectors outside the data")
     radius = 0.0
     for d in range(n_det):
-        offset = np.hypot(u[d], v[d])
-        radius = offset if not offset <= radius else radius
+        radius = max(radius, np.hypot(u[d], v[d]) if np.isfinite(u[d] + v[d]) else np.inf)
     for i in range(n):
         reach = radius * np.hypot(cosine[i], sine[i]) - _ROUNDING
         # Written so that NaN fails too.

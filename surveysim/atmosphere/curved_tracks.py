@@ -15,25 +15,34 @@ for a straight scan and of a wider class for others.
 """
 
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from surveysim.atmosphere.screen_simulation import StripCache
+from surveysim.atmosphere.screen_simulation import StripCache, alike_strips, draw_strips
 from surveysim.runtime.rng import NormalDeviates
+
+if TYPE_CHECKING:
+    from surveysim.atmosphere.scan_trends import ScanTrends
+
+# Names of the kernels that look strips up, by `numerics.interpolation`.
+CURVED_LOOK_UPS = {"nearest": "add_curved_nearest", "linear": "add_curved", "cubic": "add_curved_cubic"}
 
 
 @dataclass(frozen=True)
-class LayerPaths:
-    """Paths of the boresight over the moving layer, each in the frame of its own rectangle.
+class CurvedTracks:
+    """Tracks of n_scan scans of n samples over the moving layer, each in the frame of its own rectangle.
 
     Attributes
     ----------
     x_rad, y_rad : (n_scan, n)
-        Boresight along and across the rectangle, from the middle of its bounds.
+        Boresight along and across the rectangle, from its middle.
     cosine, sine : (n_scan, n)
-        Turn of the detectors' offsets into the rectangle (`surveysim.atmosphere.curved_kernels`), over sin(el0).
+        Turn of the detectors' offsets into the rectangle, as in `surveysim.atmosphere.curved_kernels`, over sin(el0).
     direction : (n_scan, 2)
         Unit vector along the rectangle.
+    radius_rad : (n_scan,)
+        Largest offset of a detector, over sin(el0).
     """
 
     x_rad: np.ndarray
@@ -41,22 +50,27 @@ class LayerPaths:
     cosine: np.ndarray
     sine: np.ndarray
     direction: np.ndarray
+    radius_rad: np.ndarray
 
     @property
-    def half_length_rad(self) -> np.ndarray:
-        """Half the extent of each path along its rectangle (n_scan,)."""
-        return 0.5 * np.ptp(self.x_rad, axis=1)
+    def length_rad(self) -> np.ndarray:
+        """Lengths of the rectangles (n_scan,)."""
+        return np.ptp(self.x_rad, axis=1) + 2.0 * self.radius_rad
 
     @property
     def half_width_rad(self) -> np.ndarray:
-        """Half the extent of each path across its rectangle (n_scan,)."""
-        return 0.5 * np.ptp(self.y_rad, axis=1)
+        """Half the widths of the rectangles (n_scan,)."""
+        return 0.5 * np.ptp(self.y_rad, axis=1) + self.radius_rad
 
-    @property
-    def start_rad(self) -> np.ndarray:
-        """First position of the boresight from the middle of the rectangle, in the frame of the layer (n_scan, 2)."""
+    def corner_rad(self, strips: StripCache) -> np.ndarray:
+        """First points of the scans' strips, relative to the first positions of the boresight (n_scan, 2)."""
         normal = np.stack([-self.direction[:, 1], self.direction[:, 0]], axis=1)
-        return self.x_rad[:, :1] * self.direction + self.y_rad[:, :1] * normal
+        along, across = 0.5 * self.length_rad + self.x_rad[:, 0], strips.strip_half_width_rad + self.y_rad[:, 0]
+        return -along[:, None] * self.direction - across[:, None] * normal
+
+    def scans(self, first: int, end: int) -> "CurvedTracks":
+        """Select scans `first` to `end - 1`."""
+        return CurvedTracks(*(getattr(self, item.name)[first:end] for item in fields(self)))
 
 
 def layer_positions(azimuth_rad: np.ndarray, elevation_rad: np.ndarray, centre_rad: np.ndarray) -> np.ndarray:
@@ -71,15 +85,16 @@ def horizon_vector(azimuth_rad: float, x: float | np.ndarray, y: float | np.ndar
     return np.stack([x * cosine - y * sine, -x * sine - y * cosine], axis=-1)
 
 
-def layer_paths(
+def curved_tracks(
     *,
     azimuth_rad: np.ndarray,
     elevation_rad: np.ndarray,
     time_s: np.ndarray,
     centre_rad: np.ndarray,
     layer_velocity_rad_s: np.ndarray,
-) -> LayerPaths:
-    """Paths of the boresight over the moving layer.
+    radius_rad: float,
+) -> CurvedTracks:
+    """Tracks of scans over the moving layer.
 
     Parameters
     ----------
@@ -89,17 +104,22 @@ def layer_paths(
         Elevation el0.
     layer_velocity_rad_s : (n_scan, 2)
         Velocity of the layer in its plane.
+    radius_rad
+        Largest offset of a detector.
     """
     moved = layer_velocity_rad_s[:, None] * (time_s - time_s[:, :1])[..., None]
     place = layer_positions(azimuth_rad, elevation_rad, centre_rad[:, None]) - moved
     direction = _principal_directions(place)
     ahead, right = direction[:, None, 0], direction[:, None, 1]
-    x = place[..., 0] * ahead + place[..., 1] * right
-    y = place[..., 1] * ahead - place[..., 0] * right
-    slant = 1.0 / np.sin(centre_rad)[:, None]
-    cosine, sine = np.cos(azimuth_rad) * slant, np.sin(azimuth_rad) * slant
-    return LayerPaths(
-        _centred(x), _centred(y), cosine * ahead - sine * right, sine * ahead + cosine * right, direction
+    slant = 1.0 / np.sin(centre_rad)
+    cosine, sine = np.cos(azimuth_rad) * slant[:, None], np.sin(azimuth_rad) * slant[:, None]
+    return CurvedTracks(
+        x_rad=_centred(place[..., 0] * ahead + place[..., 1] * right),
+        y_rad=_centred(place[..., 1] * ahead - place[..., 0] * right),
+        cosine=cosine * ahead - sine * right,
+        sine=sine * ahead + cosine * right,
+        direction=direction,
+        radius_rad=radius_rad * slant,
     )
 
 
@@ -116,3 +136,51 @@ def _principal_directions(place: np.ndarray) -> np.ndarray:
 def _centred(values: np.ndarray) -> np.ndarray:
     """Values (n_scan, n) from the middle between the least and the largest of each scan."""
     return values - 0.5 * (values.min(axis=1, keepdims=True) + values.max(axis=1, keepdims=True))
+
+
+def add_along_curves(
+    data_mk: np.ndarray,
+    scan_bounds: np.ndarray,
+    *,
+    tracks: CurvedTracks,
+    offsets_rad: np.ndarray,
+    amplitude_mk: np.ndarray,
+    strips: StripCache,
+    deviates: NormalDeviates,
+    trends: "ScanTrends",
+) -> None:
+    """Add the emission of the moving layer along given tracks to time-streams, in place.
+
+    Parameters
+    ----------
+    data_mk : (n_det, n_samp)
+        Streams, float32 or float64.
+    scan_bounds : (n_scan, 2)
+        First sample and end of each scan.
+    tracks : CurvedTracks
+    offsets_rad : (n_det, 2)
+        Offsets of the detectors in azimuth (on the sky) and elevation.
+    amplitude_mk : (n_scan, n)
+        sqrt(B2 / sin(el)) of each sample.
+    strips : StripCache
+        Strips that are as wide as the widest rectangle.
+    deviates, trends
+        As for `surveysim.atmosphere.screen_simulation.add_along_tracks`.
+
+    Raises
+    ------
+    ValueError
+        Where a detector is outside its strip.
+    """
+    from surveysim.atmosphere import curved_kernels
+
+    add_layer, step = getattr(curved_kernels, CURVED_LOOK_UPS[strips.interpolation]), strips.step_rad
+    x = (tracks.x_rad + 0.5 * tracks.length_rad[:, None]) / step
+    y = (tracks.y_rad + strips.strip_half_width_rad) / step
+    u, v = np.ascontiguousarray(offsets_rad.T) / step
+    for strip, scans, first in alike_strips(strips, tracks.length_rad):
+        layers = draw_strips(strip, deviates, first)
+        trends.impose(scans, layers)
+        for scan, layer in zip(scans, layers, strict=True):
+            turn = tracks.cosine[scan], tracks.sine[scan]
+            add_layer(data_mk, *scan_bounds[scan], layer, x[scan], y[scan], *turn, amplitude_mk[scan], u, v)

@@ -25,6 +25,8 @@ _STEP_MAX_RAD = radians(40.0 / 3600.0)
 _STEPS_PER_BEAM, _FEWEST_STEPS_PER_BEAM, _STEPS_PER_PAIR = 14, 4, 8
 # Classes of elevations in each factor of two of 1 / sin(el).
 _SLANTS = 4
+# Classes of widths of rectangles in each factor of two.
+_WIDTHS = 4
 # Names of the kernels that look strips up, by `numerics.interpolation`.
 LOOK_UPS = {"nearest": "add_screen_nearest", "linear": "add_screen", "cubic": "add_screen_cubic"}
 
@@ -91,7 +93,8 @@ class SlantStrips:
     The distance of a layer at the height h is h / sin(el), so on the sky it is a smaller copy of the layer at the
     zenith, including beam and outer scale. With angles over sin(el), strips of the screen at the zenith serve all
     elevations; they are wider by 1 / sin(el), with a coarser lattice by the same factor. Elevations are sorted into
-    classes of 19 % in 1 / sin(el), which use the strips of their lowest elevation.
+    classes of 19 % in 1 / sin(el), which use the strips of their lowest elevation. Rectangles that hold curved tracks
+    are sorted into classes of 19 % in width; those of straight scans are as wide as the focal plane.
 
     Attributes
     ----------
@@ -104,7 +107,7 @@ class SlantStrips:
     interpolation, precision
         As in `StripCache`.
     caches
-        Strips by class of elevation.
+        Strips by classes of elevation and width.
     """
 
     screen: Screen
@@ -119,16 +122,20 @@ class SlantStrips:
         """Free the strips; they are built again when they are asked for."""
         self.caches.clear()
 
-    def at(self, sine: float) -> StripCache:
-        """`StripCache` for the lowest elevation of an observation, given by its sine."""
+    def at(self, sine: float, half_width_rad: float = 0.0) -> StripCache:
+        """`StripCache` for the lowest elevation of an observation, given by its sine.
+
+        `half_width_rad` is the largest distance of a track from the middle of its rectangle, in angles over sin(el).
+        """
         number = ceil(-_SLANTS * log2(sine) - 1e-9)
-        if number not in self.caches:
-            slant = 2.0 ** (number / _SLANTS)
-            step = self.scale * strip_step(at_elevation(self.screen, 1.0 / slant), self.closest_rad) * slant
-            self.caches[number] = StripCache(
-                self.screen, self.half_width_rad * slant, step, self.interpolation, self.precision
-            )
-        return self.caches[number]
+        slant = 2.0 ** (number / _SLANTS)
+        step = self.scale * strip_step(at_elevation(self.screen, 1.0 / slant), self.closest_rad) * slant
+        narrow = max(self.half_width_rad * slant, 0.5 * step)
+        wider = max(0, ceil(_WIDTHS * log2(half_width_rad / narrow) - 1e-9)) if half_width_rad > narrow else 0
+        if (number, wider) not in self.caches:
+            half_width = narrow * 2.0 ** (wider / _WIDTHS) if wider else self.half_width_rad * slant
+            self.caches[number, wider] = StripCache(self.screen, half_width, step, self.interpolation, self.precision)
+        return self.caches[number, wider]
 
 
 def strip_step(screen: Screen, closest_rad: float) -> float:
@@ -319,7 +326,7 @@ def add_along_tracks(
     step = strips.step_rad
     steps = (np.hypot(*tracks.motion_rad_s.T) / (sample_rate_hz * step)).tolist()
     x, y = tracks.x_rad / step, np.minimum(tracks.y_rad / step, strips.n_lane - 1.0)
-    for strip, scans, first in _alike(strips, tracks.length_rad):
+    for strip, scans, first in alike_strips(strips, tracks.length_rad):
         layers = draw_strips(strip, deviates, first)
         if trends is not None:
             trends.impose(scans, layers)
@@ -327,8 +334,8 @@ def add_along_tracks(
             add_layer(data_mk, *scan_bounds[scan], layer, x[scan], y[scan], steps[scan], float(amplitude_mk[scan]))
 
 
-def _alike(strips: StripCache, length_rad: np.ndarray) -> Iterator[tuple[Strip, list[int], list[int]]]:
-    """Scans that have strips of one size, as many as fit in a chunk, and their first deviates."""
+def alike_strips(strips: StripCache, length_rad: np.ndarray) -> Iterator[tuple[Strip, list[int], list[int]]]:
+    """Yield scans that have strips of one size, as many as fit in a chunk, and their first deviates."""
     of_scans = [strips.strip_for(length) for length in length_rad.tolist()]
     first = list(accumulate((strip.n_deviates for strip in of_scans), initial=0))
     for n_x in dict.fromkeys(strip.n_x for strip in of_scans):

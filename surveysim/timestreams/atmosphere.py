@@ -9,6 +9,7 @@ from mapmaker.timestreams import FocalPlane, scan_bounds
 from surveysim.atmosphere.weather import Weather, slant_b2
 from surveysim.runtime.rng import RandomPurpose, normal_deviates
 from surveysim.telescope.pointing import Pointing, sky_vector
+from surveysim.timestreams.curved_layer import add_curved_layer, moved
 from surveysim.timestreams.observed_block import ObservedBlock
 from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.simulation import Simulation
@@ -48,14 +49,29 @@ def add_layer(
     from surveysim.atmosphere.screen_simulation import add_along_tracks, scan_tracks
 
     block = block or Block(0, 0, len(pointing.scan_elevation_rad))
+    seed, b2 = setup.scene.seed, slant_b2(setup.air.water, [weather], [pointing.scan_elevation_rad.mean()])[0]
+    of_trends = normal_deviates(seed, RandomPurpose.TREND, observation, realization=realization)
+    deviates = normal_deviates(seed, RandomPurpose.ATMOSPHERE, observation, realization=realization, block=block.number)
+    if not pointing.straight:
+        add_curved_layer(
+            data,
+            setup,
+            pointing,
+            block,
+            strips=setup.air.strips,
+            wind_rad_s=weather.wind_rad_s,
+            b2=b2,
+            of_trends=of_trends,
+            deviates=deviates,
+        )
+        return
     sine = np.sin(pointing.scan_elevation_rad)
     strips = setup.air.strips.at(float(sine.min()))
     bounds, rate = scan_bounds(pointing.scan), setup.observing.scans.sample_rate_hz
     motion = _layer_motion(setup, pointing, weather)
     tracks = scan_tracks(bounds, sample_rate_hz=rate, **motion, strips=strips)
     points = _strip_points(pointing, bounds, motion["layer_velocity_rad_s"], tracks=tracks, strips=strips)
-    seed, b2 = setup.scene.seed, slant_b2(setup.air.water, [weather], [pointing.scan_elevation_rad.mean()])[0]
-    trends = draw_trends(points, normal_deviates(seed, RandomPurpose.TREND, observation, realization=realization))
+    trends = draw_trends(points, of_trends)
     add_along_tracks(
         data,
         bounds[block.first : block.end] - bounds[block.first, 0],
@@ -64,9 +80,7 @@ def add_layer(
         # Equation 2 of the paper, P = B2 sin(el)^(1 - b) alpha^-b, in angles over sin(el).
         amplitude_mk=np.sqrt(b2 / sine[block.first : block.end]),
         strips=strips,
-        deviates=normal_deviates(
-            seed, RandomPurpose.ATMOSPHERE, observation, realization=realization, block=block.number
-        ),
+        deviates=deviates,
         trends=trends.scans(block.first, block.end),
     )
 
@@ -102,12 +116,5 @@ def _strip_points(
     begin, middle = pointing.time_s[first], (pointing.time_s[first] + pointing.time_s[last]) / 2
     slant = 1 / np.sin(pointing.scan_elevation_rad)[:, None]
     boresight = np.stack([pointing.xi_rad[first], pointing.eta_rad[first]], axis=-1) * slant
-    corner = boresight - _moved(layer_velocity_rad_s, middle, begin) + tracks.corner_rad
+    corner = boresight - moved(layer_velocity_rad_s, middle, begin) + tracks.corner_rad
     return strip_points(strips, corner, tracks.direction, tracks.length_rad)
-
-
-def _moved(velocity_rad_s: np.ndarray, middle_s: np.ndarray, begin_s: np.ndarray) -> np.ndarray:
-    """Integrate the velocity (n_scan, 2) of the layer at mid-scan to its displacement at the start of each scan."""
-    between = (velocity_rad_s[1:] + velocity_rad_s[:-1]) / 2 * np.diff(middle_s)[:, None]
-    until_middle = np.concatenate([np.zeros((1, 2)), np.cumsum(between, axis=0)])
-    return until_middle - velocity_rad_s * (middle_s - begin_s)[:, None]
