@@ -5,7 +5,7 @@ In the frame of the moving layer all detectors of a scan at constant velocity fo
 `surveysim.atmosphere.scan_trends` conditions them on the trends that scans share.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from itertools import accumulate
 from math import ceil, log2, radians
@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mapmaker.chunks import row_chunks
-from surveysim.atmosphere.strip_factors import Strip, build_strip, lanes, points_along
+from surveysim.atmosphere.strip_factors import Strip, build_strip, factorize_dense, lanes, points_along
 from surveysim.atmosphere.thin_screen import Screen, at_elevation
+from surveysim.atmosphere.wide_strips import across_modes, factorize_wide
 from surveysim.runtime.rng import NormalDeviates
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ _STEPS_PER_BEAM, _FEWEST_STEPS_PER_BEAM, _STEPS_PER_PAIR = 14, 4, 8
 _SLANTS = 4
 # Classes of widths of rectangles in each factor of two.
 _WIDTHS = 4
+# Most lanes of rectangles for curved tracks that need no Fourier transform across.
+_DENSE_LANES = 48
 # Names of the kernels that look strips up, by `numerics.interpolation`.
 LOOK_UPS = {"nearest": "add_screen_nearest", "linear": "add_screen", "cubic": "add_screen_cubic"}
 
@@ -46,6 +49,8 @@ class StripCache:
         A key of `LOOK_UPS`.
     precision
         "float32" or "float64".
+    wide
+        Whether the strips are rectangles for curved tracks: those of many lanes have Fourier transforms across.
     strips
         Strips by number of points along them.
     """
@@ -55,6 +60,7 @@ class StripCache:
     step_rad: float
     interpolation: str = "linear"
     precision: str = "float32"
+    wide: bool = False
     strips: dict = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -66,6 +72,11 @@ class StripCache:
     def strip_half_width_rad(self) -> float:
         """Largest distance of a track from the middle of the strips [rad]."""
         return 0.5 * (self.n_lane - 1) * self.step_rad
+
+    @property
+    def factorize(self) -> Callable[..., Strip]:
+        """Function that builds a strip of a given size."""
+        return factorize_wide if self.wide and self.n_lane > _DENSE_LANES else factorize_dense
 
     @property
     def _fewest_lanes(self) -> int:
@@ -82,6 +93,7 @@ class StripCache:
                 step_rad=self.step_rad,
                 precision=self.precision,
                 fewest_lanes=self._fewest_lanes,
+                factorize=self.factorize,
             )
         return self.strips[n_x]
 
@@ -134,7 +146,9 @@ class SlantStrips:
         wider = max(0, ceil(_WIDTHS * log2(half_width_rad / narrow) - 1e-9)) if half_width_rad > narrow else 0
         if (number, wider) not in self.caches:
             half_width = narrow * 2.0 ** (wider / _WIDTHS) if wider else self.half_width_rad * slant
-            self.caches[number, wider] = StripCache(self.screen, half_width, step, self.interpolation, self.precision)
+            self.caches[number, wider] = StripCache(
+                self.screen, half_width, step, self.interpolation, self.precision, wide=wider > 0
+            )
         return self.caches[number, wider]
 
 
@@ -180,6 +194,9 @@ def draw_strips(strip: Strip, deviates: NormalDeviates, first: Sequence[int]) ->
     real = strip.columns.dtype
     modes = np.empty((len(first), strip.n_lane, len(strip.start) - 1), np.result_type(real, np.complex64))
     combine_columns(strip.columns, strip.start, normals, modes)
+    if strip.n_across:
+        above = normals[:, 2 * len(strip.columns) : -1]
+        modes = np.concatenate([modes, across_modes(strip, above)], axis=2)
     # The inverse transform sets higher modes to zero, and uses only the real parts of the real modes.
     layers = irfft(modes, n=strip.n_x, axis=-1, overwrite_x=True)
     slopes = (normals[:, -1] * strip.ramp_std * strip.step_rad).astype(real)
