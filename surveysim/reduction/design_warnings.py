@@ -11,6 +11,7 @@ import numpy as np
 from surveysim.atmosphere.water import pwv_quantile
 from surveysim.reduction.setup import Setup
 from surveysim.scene.detector_table import KEY
+from surveysim.scene.scan_patterns import RasterScan
 from surveysim.telescope.optics import scene_chain
 from surveysim.timestreams.expected_losses import sampled_share
 from surveysim.timestreams.observed_block import observation_levels
@@ -33,12 +34,12 @@ def _narrowest(setup: Setup) -> float:
 
 def _sampling(setup: Setup) -> str:
     scans, beam = setup.observing.scans, _narrowest(setup)
-    step = scans.speed_rad_s / scans.sample_rate_hz
+    step = scans.fastest_rad_s / scans.sample_rate_hz
     if step <= beam / 2 * (1 + 1e-9):
         return ""
     return (
         f"scan.sample_rate: samples are {_arcsec(step)} apart, more than half of the beam of {_arcsec(beam)}; a rate of"
-        f" {2 * scans.speed_rad_s / beam:.3g} Hz or more resolves it."
+        f" {2 * scans.fastest_rad_s / beam:.3g} Hz or more resolves it."
     )
 
 
@@ -62,7 +63,7 @@ def _pixels(setup: Setup) -> str:
 def _coverage(setup: Setup) -> str:
     """Compare the scored patch with the area that rasters along both axes, widened by the array, have in common."""
     score, scan = setup.scene.score, setup.scene.scan
-    if score is None:
+    if score is None or not isinstance(scan, RasterScan):
         return ""
     along, across = scan.speed_rad_s * scan.duration_s, (scan.scans - 1) * scan.step_rad
     covered = min(along, across) + 2 * setup.camera.radius_rad + scan.dither_rad

@@ -149,7 +149,7 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     seconds = of.n_det * of.n_samp * of.n_scans / scene.scan.sample_rate_hz
     events = {key: 100.0 * seconds * section.rate_hz for key, section in _events(scene).items() if section}
     # A block of one scan does not depend on the limit.
-    block_key = "numerics.max_block_memory" if of.n_scans > 1 else "scan.duration"
+    block_key = "numerics.max_block_memory" if of.n_scans > 1 else scene.scan.duration_key
     needed = {
         block_key: of.n_det * of.n_samp * of.n_scans * (5 + of.n_bands) * real + 16 * of.n_det * n_freq + filled,
         "cleaning.algorithm": _cleaning_memory(scene, of),

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from surveysim.scene.observing import Scan
-from surveysim.scene.section import Section
+from surveysim.scene.scan_patterns import DaisyScan, RasterScan, ScanSection
 from surveysim.telescope.horizon_frame import HorizonFrame
-from surveysim.telescope.raster import observation_raster, raster_extent, scene_raster
+from surveysim.telescope.patterns.daisy import daisy_extent, daisy_path, scene_daisy
+from surveysim.telescope.patterns.raster import observation_raster, raster_extent, scene_raster
 from surveysim.telescope.scans import ScanPath, Scans
 
 
@@ -32,15 +32,18 @@ class ScanPattern:
     """
 
     name: str
-    section: type[Section]
+    section: type[ScanSection]
     scans: Callable[[Any], Scans]
     path: Callable[[Any, int, np.ndarray, HorizonFrame | None], ScanPath]
     extent_rad: Callable[[Any], float]
 
 
-SCAN_PATTERNS = (ScanPattern("raster", Scan, scene_raster, observation_raster, raster_extent),)
+SCAN_PATTERNS = (
+    ScanPattern("raster", RasterScan, scene_raster, observation_raster, raster_extent),
+    ScanPattern("daisy", DaisyScan, scene_daisy, daisy_path, daisy_extent),
+)
 
 
-def scan_pattern(section: Section) -> ScanPattern:
+def scan_pattern(section: ScanSection) -> ScanPattern:
     """Find the pattern of a section [scan]."""
     return next(item for item in SCAN_PATTERNS if isinstance(section, item.section))

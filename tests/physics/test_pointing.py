@@ -15,6 +15,7 @@ from surveysim.telescope.directions import (
     hour_angle_dec,
 )
 from surveysim.telescope.horizon_frame import HorizonFrame, from_horizon, to_horizon
+from surveysim.telescope.patterns.raster import Raster, raster_path
 from surveysim.telescope.pointing import (
     SIDEREAL_RAD_S,
     observation_pointing,
@@ -22,7 +23,6 @@ from surveysim.telescope.pointing import (
     sky_vector,
     survey_angles,
 )
-from surveysim.telescope.raster import Raster, raster_path
 
 DEG = np.pi / 180
 ARCMIN = DEG / 60
@@ -320,6 +320,7 @@ def test_directions_are_those_of_astropy():
 def test_survey_angles_and_observation_pointing():
     scans = Raster(
         speed_rad_s=4 * ARCMIN,
+        fastest_rad_s=4 * ARCMIN,
         n_scans=18,
         scan_s=15.0,
         turnaround_s=10.0,

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surveysim.scene.observing import Scan
+from surveysim.scene.scan_patterns import RasterScan
 from surveysim.telescope.horizon_frame import HorizonFrame
-from surveysim.telescope.scans import ScanPath, Scans, mid_times, samples_per_scan
+from surveysim.telescope.scans import ScanPath, Scans, mid_times, samples_per_scan, timing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,17 +22,9 @@ class Raster(Scans):
     step_rad: float
 
 
-def scene_raster(section: Scan) -> Raster:
+def scene_raster(section: RasterScan) -> Raster:
     """Make the raster of a section [scan]."""
-    return Raster(
-        speed_rad_s=section.speed_rad_s,
-        n_scans=section.scans,
-        scan_s=section.duration_s,
-        turnaround_s=section.turnaround_s,
-        step_rad=section.step_rad,
-        dither_rad=section.dither_rad,
-        sample_rate_hz=section.sample_rate_hz,
-    )
+    return Raster(**timing(section), step_rad=section.step_rad)
 
 
 def raster_extent(raster: Raster) -> float:
