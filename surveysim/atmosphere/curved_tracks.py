@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from surveysim.atmosphere.screen_simulation import StripCache, alike_strips, draw_strips
+from surveysim.atmosphere.screen_simulation import StripCache, alike_strips, centred, draw_strips
 from surveysim.runtime.rng import NormalDeviates
 
 if TYPE_CHECKING:
@@ -148,6 +148,7 @@ def add_along_curves(
     strips: StripCache,
     deviates: NormalDeviates,
     trends: "ScanTrends",
+    mean_removed: bool = False,
 ) -> None:
     """Add the emission of the moving layer along given tracks to time-streams, in place.
 
@@ -166,6 +167,8 @@ def add_along_curves(
         Strips that are as wide as the widest rectangle.
     deviates, trends
         As for `surveysim.atmosphere.screen_simulation.add_along_tracks`.
+    mean_removed
+        Whether the layer has a mean of 0 over the strip of each scan, as a realization that others join.
 
     Raises
     ------
@@ -182,5 +185,7 @@ def add_along_curves(
         layers = draw_strips(strip, deviates, first)
         trends.impose(scans, layers)
         for scan, layer in zip(scans, layers, strict=True):
+            if mean_removed:
+                centred(layer, tracks.length_rad[scan] / step)
             turn = tracks.cosine[scan], tracks.sine[scan]
             add_layer(data_mk, *scan_bounds[scan], layer, x[scan], y[scan], *turn, amplitude_mk[scan], u, v)

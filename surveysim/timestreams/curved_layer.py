@@ -1,100 +1,57 @@
-"""The atmosphere of scans whose tracks are curved."""
-
-from typing import TYPE_CHECKING
+"""A layer of the atmosphere in scans whose tracks are curved."""
 
 import numpy as np
 
 from mapmaker.geometry import sky_offsets
 from mapmaker.timestreams import scan_bounds
-from surveysim.atmosphere.curved_tracks import (
-    add_along_curves,
-    curved_tracks,
-    horizon_vector,
-    layer_positions,
-)
-from surveysim.runtime.rng import NormalDeviates
+from surveysim.atmosphere.curved_tracks import add_along_curves, curved_tracks, horizon_vector, layer_positions
+from surveysim.atmosphere.layers import Layer
+from surveysim.runtime.rng import RandomPurpose
 from surveysim.telescope.pointing import Pointing
-from surveysim.timestreams.scan_blocks import Block
+from surveysim.timestreams.layer_views import LayerNumbers, LayerView, moved
 from surveysim.timestreams.simulation import Simulation
-
-if TYPE_CHECKING:
-    from surveysim.atmosphere.screen_simulation import SlantStrips
 
 
 def add_curved_layer(
-    data: np.ndarray,
-    setup: Simulation,
-    pointing: Pointing,
-    block: Block,
-    *,
-    strips: "SlantStrips",
-    wind_rad_s: tuple[float, float],
-    b2: float,
-    of_trends: NormalDeviates,
-    deviates: NormalDeviates,
+    layer: Layer, setup: Simulation, of: LayerView, *, b2: float, numbers: LayerNumbers, data: np.ndarray
 ) -> None:
-    """Add one realization of a moving layer to streams (n_det, n_samp) [mK] of one block, in place.
-
-    Parameters
-    ----------
-    pointing
-        Pointing of the whole observation.
-    wind_rad_s
-        Angular velocity of the layer along azimuth (on the sky) and elevation, at the mean azimuth of the observation.
-    b2
-        Amplitude at the zenith, over that of the sky's brightness seen through the air.
-    of_trends
-        Random numbers of the trends that all scans share.
-    deviates
-        Random numbers of the strips of the block.
-    """
+    """Add one realization of a layer of some amplitude B2 to the streams (n_det, n_samp) [mK] of a block, in place."""
     from surveysim.atmosphere.scan_trends import draw_trends, strip_points
 
-    bounds = scan_bounds(pointing.scan)
-    shape = len(bounds), -1
-    azimuth, elevation = pointing.azimuth_rad.reshape(shape), pointing.elevation_rad.reshape(shape)
-    time, centre = pointing.time_s.reshape(shape), elevation.mean(axis=1)
-    velocity = _layer_velocity(pointing.azimuth_rad, centre, wind_rad_s)
+    pointing, block, bounds = of.pointing, of.block, scan_bounds(of.pointing.scan)
+    azimuth, elevation, time_s = (
+        values.reshape(len(bounds), -1) for values in (pointing.azimuth_rad, pointing.elevation_rad, pointing.time_s)
+    )
+    centre = elevation.mean(axis=1)
+    velocity = horizon_vector(of.wind_azimuth_rad, *of.wind_rad_s) / np.sin(centre)[:, None]
     tracks = curved_tracks(
         azimuth_rad=azimuth,
         elevation_rad=elevation,
-        time_s=time,
+        time_s=time_s,
         centre_rad=centre,
         layer_velocity_rad_s=velocity,
-        radius_rad=strips.half_width_rad,
+        radius_rad=layer.strips.half_width_rad,
     )
-    cache = strips.at(float(np.sin(centre).min()), float(tracks.half_width_rad.max()))
+    strips = layer.strips.at(float(np.sin(centre).min()), float(tracks.half_width_rad.max()))
     start = layer_positions(azimuth[:, 0], elevation[:, 0], centre)
-    corner = start - moved(velocity, time[:, [0, -1]].mean(axis=1), time[:, 0]) + tracks.corner_rad(cache)
-    trends = draw_trends(strip_points(cache, corner, tracks.direction, tracks.length_rad), of_trends)
-    first, end = block.first, block.end
+    corner = start - moved(velocity, time_s[:, [0, -1]].mean(axis=1), time_s[:, 0]) + tracks.corner_rad(strips)
+    points = strip_points(strips, corner, tracks.direction, tracks.length_rad)
+    trends = draw_trends(points, numbers.deviates(RandomPurpose.TREND))
+    amplitude = np.sqrt(b2 / np.sin(elevation[block.first : block.end]))
     add_along_curves(
         data,
-        bounds[first:end] - bounds[first, 0],
-        tracks=tracks.scans(first, end),
+        bounds[block.first : block.end] - bounds[block.first, 0] + of.start,
+        tracks=tracks.scans(block.first, block.end),
         offsets_rad=_horizon_offsets(setup, pointing),
-        amplitude_mk=np.sqrt(b2 / np.sin(elevation[first:end])),
-        strips=cache,
-        deviates=deviates,
-        trends=trends.scans(first, end),
+        amplitude_mk=amplitude if of.weight is None else amplitude * of.weight,
+        strips=strips,
+        deviates=numbers.deviates(RandomPurpose.ATMOSPHERE, block.number),
+        trends=trends.scans(block.first, block.end),
+        mean_removed=of.weight is not None,
     )
-
-
-def _layer_velocity(azimuth_rad: np.ndarray, centre_rad: np.ndarray, wind_rad_s: tuple[float, float]) -> np.ndarray:
-    """Velocity (n_scan, 2) of the layer in its plane, for scans about elevations `centre_rad` (n_scan,)."""
-    middle = np.arctan2(np.sin(azimuth_rad).mean(), np.cos(azimuth_rad).mean())
-    return horizon_vector(middle, *wind_rad_s) / np.sin(centre_rad)[:, None]
 
 
 def _horizon_offsets(setup: Simulation, pointing: Pointing) -> np.ndarray:
     """Offsets (n_det, 2) of the detectors in azimuth (on the sky) and elevation."""
-    # At the meridian south of the zenith, azimuth grows to the west.
-    east, north = sky_offsets(setup.camera.focal_plane, np.array([pointing.camera_angle_rad]))
-    return np.stack([-east[0], north[0]], axis=1)
-
-
-def moved(velocity_rad_s: np.ndarray, middle_s: np.ndarray, begin_s: np.ndarray) -> np.ndarray:
-    """Integrate the velocity (n_scan, 2) of the layer at mid-scan to its displacement at the start of each scan."""
-    between = (velocity_rad_s[1:] + velocity_rad_s[:-1]) / 2 * np.diff(middle_s)[:, None]
-    until_middle = np.concatenate([np.zeros((1, 2)), np.cumsum(between, axis=0)])
-    return until_middle - velocity_rad_s * (middle_s - begin_s)[:, None]
+    left, up = sky_offsets(setup.camera.focal_plane, np.array([pointing.camera_angle_rad]))
+    return np.stack([-left[0], up[0]], axis=1)  # azimuth grows to the right, position angles to the left
