@@ -11,7 +11,7 @@ from surveysim.forecasting.pilot import KeptScans
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.scored_region import ScoredRegion
 from surveysim.reduction.setup import Setup
-from surveysim.scene.scan_patterns import ScanSection
+from surveysim.scene.scan_section import ScanSection
 from surveysim.scene.scene import Scene
 from surveysim.survey.discarded_scans import MOST_DISCARDED
 from surveysim.timestreams.crosstalk import CrosstalkMatrix

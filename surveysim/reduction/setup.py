@@ -131,7 +131,7 @@ def _common(scene: Scene) -> _Common:
     extent = camera_extent([cameras[name] for name in sorted(cameras)])  # to the last bit the same in all bands
     pattern = scan_pattern(scene.scan)
     scans = pattern.scans(scene.scan)
-    reach = pattern.extent_rad(scans) + scans.dither_rad / 2 + extent.radius_rad
+    reach = _reach(pattern.extent_rad(scans) + scans.dither_rad / 2, extent.radius_rad)
     for name, item in bands.items():
         with errors_of(item, scene):
             check_size(item, cameras[name].n_det, reach)
@@ -151,6 +151,12 @@ def _common(scene: Scene) -> _Common:
         _seasons(scene, times),
         air_layers(scene, extent),
     )
+
+
+def _reach(extent_rad: float, radius_rad: float) -> float:
+    """Bound of a detector's offsets in the tangent plane [rad], for boresights up to an extent along both axes."""
+    depth = 1 - math.sqrt(2) * extent_rad * radius_rad
+    return (extent_rad + math.sqrt(1 + 2 * extent_rad**2) * radius_rad) / depth if depth > 0 else math.inf
 
 
 def _simulation(scene: Scene, common: _Common) -> Simulation:
