@@ -148,6 +148,8 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
             raise ValueError("excess.b2: found several values; without [atmosphere] one value is expected")
         if self.atmosphere and self.atmosphere.site and not self.instrument.band.width_hz:
             raise ValueError("instrument.bandwidth: missing; the opacity of a site needs the width of the band")
+        if self.fixed_pointing and self.atmosphere and (key := self.atmosphere.dated_key):
+            raise ValueError(f"atmosphere.{key}: found with [fixed_pointing]; [schedule] is expected, which has dates")
         self._beam_is_known()
         self._load_is_given()
         self._power_is_known()

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from surveysim.telescope.raster import Raster, raster_path
 
 from mapmaker.detector_places import array_homography
 from mapmaker.geometry import MapGeometry, plane_directions
 from surveysim.telescope.directions import FieldCentre, Site, hour_angle_dec
 from surveysim.telescope.horizon_frame import HorizonFrame
 from surveysim.telescope.pointing import SIDEREAL_RAD_S, observation_pointing, survey_angles
-from surveysim.telescope.raster import Raster, raster_path
 
 DEG = np.pi / 180
 ARCMIN, ARCSEC = DEG / 60, DEG / 3600

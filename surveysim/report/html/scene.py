@@ -188,6 +188,10 @@ def _atmosphere(air: Values) -> Iterator[str]:
         yield f"They change within an observation, on a time scale of {short(air['wind_drift']['time_scale_s'])} s."
     if air["wind_b2_exponent"]:
         yield f"Their median is proportional to B2^({short(air['wind_b2_exponent'])})."
+    if air["weather_table"] is not None:
+        yield f"The table {PurePath(air['weather_table']).name} replaces distributions of its columns."
+    if air["correlation_time_s"] is not None:
+        yield f"Weather drifts: observations correlate by exp(-lag / {short(air['correlation_time_s'] / 3600)} h)."
 
 
 def _layers(air: Values) -> str:
