@@ -9,7 +9,9 @@ import numpy as np
 from surveysim.scene.scan_figures import DaisyScan, LissajousScan, PongScan
 from surveysim.scene.scan_patterns import RasterScan
 from surveysim.scene.scan_section import ScanSection
+from surveysim.scene.scan_sweeps import AzimuthScan
 from surveysim.telescope.horizon_frame import HorizonFrame
+from surveysim.telescope.patterns.azimuth import azimuth_extent, azimuth_path, scene_azimuth
 from surveysim.telescope.patterns.daisy import scene_daisy
 from surveysim.telescope.patterns.figures import figure_extent, figure_path
 from surveysim.telescope.patterns.lissajous import scene_lissajous
@@ -33,18 +35,20 @@ class ScanPattern:
         Function of that record, the number of an observation, its dither (2,) [rad], and the horizon during it, None at
         fixed pointing: path of the boresight.
     extent_rad
-        Function of that record: largest offset of the boresight from the centre of the pattern, along either axis.
+        Function of that record and the lowest elevation of the field [rad]: largest offset of the boresight from the
+        centre of the pattern, along either axis.
     """
 
     name: str
     section: type[ScanSection]
     scans: Callable[[Any], Scans]
     path: Callable[[Any, int, np.ndarray, HorizonFrame | None], ScanPath]
-    extent_rad: Callable[[Any], float]
+    extent_rad: Callable[[Any, float], float]
 
 
 SCAN_PATTERNS = (
     ScanPattern("raster", RasterScan, scene_raster, observation_raster, raster_extent),
+    ScanPattern("azimuth", AzimuthScan, scene_azimuth, azimuth_path, azimuth_extent),
     ScanPattern("daisy", DaisyScan, scene_daisy, figure_path, figure_extent),
     ScanPattern("lissajous", LissajousScan, scene_lissajous, figure_path, figure_extent),
     ScanPattern("pong", PongScan, scene_pong, figure_path, figure_extent),

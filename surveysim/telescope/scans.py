@@ -33,6 +33,11 @@ class Scans:
     dither_rad: float
     sample_rate_hz: float
 
+    @property
+    def straight(self) -> bool:
+        """Whether the boresight has a constant velocity in every scan."""
+        return False
+
 
 @dataclass(frozen=True)
 class ScanPath:
@@ -70,8 +75,8 @@ def timing(section: ScanSection) -> dict[str, Any]:
         "speed_rad_s": section.speed_rad_s,
         "fastest_rad_s": section.fastest_rad_s,
         "n_scans": section.scans,
-        "scan_s": section.duration_s,
-        "turnaround_s": section.turnaround_s,
+        "scan_s": section.scan_s,
+        "turnaround_s": section.gap_s,
         "dither_rad": section.dither_rad,
         "sample_rate_hz": section.sample_rate_hz,
     }

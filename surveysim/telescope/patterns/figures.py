@@ -58,8 +58,8 @@ def figure_keys(section: FigureScan) -> dict[str, Any]:
     }
 
 
-def figure_extent(figure: Figure) -> float:
-    """Compute the largest offset from the centre along either axis of the sky, in any observation [rad]."""
+def figure_extent(figure: Figure, lowest_rad: float) -> float:
+    """Compute the largest offset from the centre along either axis of the sky, at any elevation [rad]."""
     return figure.extent_rad()
 
 

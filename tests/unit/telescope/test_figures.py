@@ -146,8 +146,8 @@ def test_pattern_turns_from_x_to_y_and_further_in_each_observation():
     cos, sin = np.cos(np.radians(35)), np.sin(np.radians(35))
     np.testing.assert_allclose(start[1].xi_rad, x * cos - y * sin, atol=1e-15)
     np.testing.assert_allclose(start[1].eta_rad, x * sin + y * cos, atol=1e-15)
-    np.testing.assert_allclose(figure_extent(turned), np.hypot(5, 3) * ARCMIN)
-    np.testing.assert_allclose(figure_extent(straight), 5 * ARCMIN)
+    np.testing.assert_allclose(figure_extent(turned, 0.5), np.hypot(5, 3) * ARCMIN)
+    np.testing.assert_allclose(figure_extent(straight, 0.5), 5 * ARCMIN)
     np.testing.assert_allclose(figure_extent(figure(lissajous(angle="90 deg"))), 5 * ARCMIN)
     np.testing.assert_allclose(figure_extent(figure(lissajous(angle="45 deg"))), 8 / np.sqrt(2) * ARCMIN)
 
