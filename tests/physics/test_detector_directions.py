@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from surveysim.telescope.raster import Raster, raster_path
 
 from mapmaker.detector_places import array_homography
 from mapmaker.geometry import MapGeometry, plane_directions
