@@ -43,7 +43,7 @@ CLIPPED_MAX = 1e-5
 _VECTOR = 8
 _N_X_MIN, N_X_MAX = 32, 2**17
 # Largest numbers of lattice points and of elements in all matrices: a few gigabytes.
-_MOST_POINTS, _MOST_ELEMENTS = 2**24, 10**8
+MOST_POINTS, _MOST_ELEMENTS = 2**24, 10**8
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ def lanes(half_width_rad: float, step_rad: float, fewest: int) -> int:
 
 def check_points(n_x: int, n_lane: int, step_rad: float, screen: Screen) -> None:
     """Raise ValueError for strips with too many points, or longer than the structure function's table."""
-    if n_x * n_lane > _MOST_POINTS or n_x * step_rad > 2.0 * LAG_MAX * screen.beam_rad:
+    if n_x * n_lane > MOST_POINTS or n_x * step_rad > 2.0 * LAG_MAX * screen.beam_rad:
         raise OutOfRangeError(_too_large(n_x, n_lane, step_rad))
 
 
@@ -185,7 +185,7 @@ def check_elements(used: int, n_x: int, n_lane: int, step_rad: float) -> None:
 
 def _too_large(n_x: int, n_lane: int, step_rad: float) -> str:
     return (
-        f"found a strip of the layer with {n_x} by {n_lane} points {step_rad:.3g} rad apart; up to {_MOST_POINTS:.3g}"
+        f"found a strip of the layer with {n_x} by {n_lane} points {step_rad:.3g} rad apart; up to {MOST_POINTS:.3g}"
         f" points, {LAG_MAX:g} beams of length and {_MOST_ELEMENTS:.3g} elements of covariance are allowed, by shorter"
         " scans, a slower wind, a lower layer, a smaller camera or a larger numerics.screen_step"
     )

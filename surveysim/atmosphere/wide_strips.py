@@ -14,10 +14,13 @@ import numpy as np
 
 from surveysim.atmosphere import strip_factors as factors
 from surveysim.atmosphere.strip_factors import Strip
-from surveysim.atmosphere.thin_screen import Screen, structure_function
+from surveysim.atmosphere.thin_screen import LAG_MAX, Screen, structure_function
+from surveysim.runtime.errors import OutOfRangeError
 
 # Negative power of the transforms, and power that they omit, as fractions of the variance of neighbour differences.
 _CLIPPED, _OMITTED = 0.5 * factors.CLIPPED_MAX, 1e-4
+# Most lanes, whose factors take some five seconds.
+_MOST_LANES = 2048
 # Operations for matrices that take a second, and the number of frequencies that may take longer.
 _MOST_WORK, _FEW = 3e9, 4
 
@@ -26,7 +29,7 @@ def factorize_wide(screen: Screen, *, n_x: int, n_lane: int, step_rad: float, pr
     """Build a strip of a given size, whatever its clipped fraction; raises ValueError for one too large to hold."""
     from scipy.fft import dct
 
-    factors.check_points(n_x, n_lane, step_rad, screen)
+    check_wide(n_x, n_lane, step_rad, screen)
     n_y = _period(n_lane)
     ramp_variance, density = factors.lane_spectra(screen, n_x, n_y // 2 + 1, step_rad)
     used = factors.used_modes(screen, density[:, :n_lane], n_x, step_rad, _OMITTED)
@@ -49,6 +52,17 @@ def factorize_wide(screen: Screen, *, n_x: int, n_lane: int, step_rad: float, pr
         amplitude=amplitude.astype(precision),
         clipped_fraction=clipped,
     )
+
+
+def check_wide(n_x: int, n_lane: int, step_rad: float, screen: Screen) -> None:
+    """Raise ValueError for strips with too many points or lanes, or longer than the structure function's table."""
+    long = n_x * step_rad > 2.0 * LAG_MAX * screen.beam_rad
+    if n_x * n_lane > factors.MOST_POINTS or n_lane > _MOST_LANES or long:
+        raise OutOfRangeError(
+            f"found a rectangle of the layer with {n_x} by {n_lane} points {step_rad:.3g} rad apart; up to"
+            f" {factors.MOST_POINTS:.3g} points, {_MOST_LANES} across and {LAG_MAX:g} beams of length are allowed, by"
+            " shorter scans, a smaller throw, a slower wind, a smaller camera or a larger numerics.screen_step"
+        )
 
 
 def _period(n_lane: int) -> int:

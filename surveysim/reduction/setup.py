@@ -200,7 +200,7 @@ def _simulation(scene: Scene, common: _Common) -> Simulation:
 def _prepare(scene: Scene) -> Setup:
     common = _common(scene)
     cam, scans, geometry = common.cameras[scene.band_name], common.scans, common.geometry
-    check_templates(scene, cam)
+    check_templates(scene, cam, scans)
     check_dead_time(scene, cam)
     for band in (scene, *scene.others):
         check_groups(band, common.cameras[band.band_name])
