@@ -144,8 +144,8 @@ def check_size(scene: Scene, n_det: int, extent_rad: float) -> None:
     scan = scene.scan
     if extent_rad > MAX_REACH_RAD:
         raise SceneError(
-            f"scan: found a map that reaches {math.degrees(extent_rad):.4g} deg from its centre with this speed, "
-            f"duration, step, dither and camera; {math.degrees(MAX_REACH_RAD):g} deg or less is expected"
+            f"scan: found a map that reaches {math.degrees(extent_rad):.4g} deg from its centre with this scan, "
+            f"dither and camera; {math.degrees(MAX_REACH_RAD):g} deg or less is expected"
         )
     side = 2 * extent_rad / scene.map.pixel_rad
     if side > MAX_SIDE_PIXELS:

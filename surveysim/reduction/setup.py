@@ -30,6 +30,7 @@ from surveysim.reduction.consistency import (
     sky_coefficients,
 )
 from surveysim.reduction.detector_weights import beams_of, detector_weights
+from surveysim.reduction.mount_check import check_mount
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
 from surveysim.reduction.response_checks import check_response
 from surveysim.reduction.scored_region import padded_side, patch_side
@@ -58,6 +59,7 @@ from surveysim.timestreams.simulation import (
     ObservingSetup,
     Simulation,
     SkySetup,
+    field_centre,
     observing_schedule,
     observing_site,
 )
@@ -132,7 +134,7 @@ def _common(scene: Scene) -> _Common:
             check_table(item, cameras[name])
     extent = camera_extent([cameras[name] for name in sorted(cameras)])  # to the last bit the same in all bands
     pattern = scan_pattern(scene.scan)
-    scans = pattern.scans(scene.scan)
+    scans = pattern.scans(scene.scan, field_centre(scene), observing_site(scene) if scene.schedule else None)
     reach = _reach(pattern.extent_rad(scans, _lowest_allowed(scene)) + scans.dither_rad / 2, extent.radius_rad)
     for name, item in bands.items():
         with errors_of(item, scene):
@@ -200,6 +202,7 @@ def _simulation(scene: Scene, common: _Common) -> Simulation:
 def _prepare(scene: Scene) -> Setup:
     common = _common(scene)
     cam, scans, geometry = common.cameras[scene.band_name], common.scans, common.geometry
+    check_mount(scene, common.pattern, scans, common.times)
     check_templates(scene, cam, scans)
     check_dead_time(scene, cam)
     for band in (scene, *scene.others):

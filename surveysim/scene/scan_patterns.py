@@ -8,6 +8,7 @@ from surveysim.scene.fields import AngleExtent, Duration, DurationExtent, Speed,
 from surveysim.scene.scan_figures import DaisyScan, LissajousScan, PongScan
 from surveysim.scene.scan_section import MOST_SCANS, ScanSection
 from surveysim.scene.scan_sweeps import AzimuthScan, SweepScan
+from surveysim.scene.scan_track import TrackScan
 from surveysim.scene.unions import union_of
 
 
@@ -34,7 +35,7 @@ class RasterScan(SweepScan):
         return self.speed_rad_s
 
 
-SCAN_SECTIONS: tuple[type[ScanSection], ...] = (RasterScan, AzimuthScan, DaisyScan, LissajousScan, PongScan)
+SCAN_SECTIONS: tuple[type[ScanSection], ...] = (RasterScan, AzimuthScan, DaisyScan, LissajousScan, PongScan, TrackScan)
 
 
 if TYPE_CHECKING:

@@ -44,6 +44,11 @@ class ScanSection(Section):
         return ""
 
     @property
+    def most_observations(self) -> int | None:
+        """Number of observations that the pattern has; None for any."""
+        return None
+
+    @property
     def scan_s(self) -> float:
         """Duration of a scan."""
         return self.duration_s

@@ -28,6 +28,19 @@ class HorizonFrame:
     start_mjd: float
 
 
+@dataclass(frozen=True)
+class Horizons:
+    """Horizons of all observations: the field, the site, and the starts (n_obs,) [MJD UTC]."""
+
+    field: FieldCentre
+    site: Site
+    start_mjd: np.ndarray
+
+    def of(self, observation: int) -> HorizonFrame:
+        """Horizon during one observation."""
+        return HorizonFrame(self.field, self.site, float(self.start_mjd[observation]))
+
+
 def to_horizon(
     frame: HorizonFrame, time_s: np.ndarray, xi_rad: np.ndarray, eta_rad: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surveysim.scene.scan_sweeps import AzimuthScan
+from surveysim.telescope.directions import FieldCentre, Site
 from surveysim.telescope.horizon_frame import HorizonFrame, from_horizon, to_horizon
 from surveysim.telescope.scans import ScanPath, Scans, duration_s, mid_times, samples_per_scan, timing
 from surveysim.telescope.turnarounds import Turnaround, in_turnaround, mean_speed, simulated_turnaround, sweep_offsets
@@ -35,7 +36,7 @@ class AzimuthSweeps(Scans):
     turning: Turnaround | None
 
 
-def scene_azimuth(section: AzimuthScan) -> AzimuthSweeps:
+def scene_azimuth(section: AzimuthScan, centre: FieldCentre, site: Site | None) -> AzimuthSweeps:
     """Make the azimuth scans of a section [scan]."""
     return AzimuthSweeps(
         **timing(section),

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surveysim.scene.scan_patterns import RasterScan
+from surveysim.telescope.directions import FieldCentre, Site
 from surveysim.telescope.horizon_frame import HorizonFrame
 from surveysim.telescope.scans import ScanPath, Scans, mid_times, samples_per_scan, timing
 from surveysim.telescope.turnarounds import (
@@ -43,7 +44,7 @@ class Raster(Scans):
         return self.turning is None
 
 
-def scene_raster(section: RasterScan) -> Raster:
+def scene_raster(section: RasterScan, centre: FieldCentre, site: Site | None) -> Raster:
     """Make the raster of a section [scan]."""
     return Raster(**timing(section), step_rad=section.step_rad, turning=simulated_turnaround(section))
 
