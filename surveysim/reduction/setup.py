@@ -29,6 +29,7 @@ from surveysim.reduction.consistency import (
     check_templates,
     sky_coefficients,
 )
+from surveysim.reduction.curved_tracks import curved_motions
 from surveysim.reduction.detector_weights import beams_of, detector_weights
 from surveysim.reduction.mount_check import check_mount
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
@@ -245,7 +246,8 @@ def _prepare(scene: Scene) -> Setup:
         if item.camera.n_det > MOST_DENSE:
             _check_torus(item.camera)
     radius = common.extent.radius_rad
-    elements = check_layer(scene, drawn.air, radius_rad=radius, scans=scans, lowest_rad=lowest)
+    motions = curved_motions(scene, common.pattern, scans, common.times)
+    elements = check_layer(scene, drawn.air, radius_rad=radius, scans=scans, lowest_rad=lowest, curved=motions)
     check_memory(needed_memory(scene, _sizes(setup, elements)))
     return setup
 
