@@ -1,7 +1,5 @@
 """Tracks of a survey's curved scans, for the check of the layer."""
 
-from surveysim.atmosphere.curved_limits import BoresightMotion
-
 from typing import TYPE_CHECKING
 
 from surveysim.reduction.mount_check import observation_motion
