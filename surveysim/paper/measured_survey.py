@@ -138,7 +138,7 @@ def measure_survey(scenes: list[Scene], engine: Engine, progress: Callable[[], N
 
 
 def fit_survey(setup: Setup, scene_of: tuple[str, ...], measurements: tuple[Measurement, ...]) -> MeasuredSurvey:
-    """Fit the turbulence of measured observations (n_obs,) of the scenes named `scene_of`, the first of them `setup`."""
+    """Fit the turbulence of measured observations (n_obs,) of the scenes named `scene_of`; `setup` is the first."""
     bins, air = camera_pairs(setup), setup.scene.atmosphere
     grid = correlation_grid(
         bins.theta_rad,

@@ -1,15 +1,15 @@
 """Findings of the surveys of all ingredients beside the paper, with paired differences to one layer."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from surveysim.paper.explain.findings import Finding, bootstrapped
-from surveysim.paper.explain.ingredients import ONE_LAYER
 from surveysim.paper.explain.values import Values
+from surveysim.report.explanation import EXPLAINS, HELPS, WORSENS
 
 SIGMAS, SHARE = 2.0, 0.2  # agreement with the paper: within so many errors, or so large a part of its value
-EXPLAINS, HELPS, WORSENS, NOTHING = "explains", "helps", "worsens", ""
+NOTHING = ""  # no verdict
 
 
 @dataclass(frozen=True)
@@ -34,29 +34,16 @@ class Entry:
     verdict: str
 
 
-def compared(findings: tuple[Finding, ...], surveys: Mapping[str, Values]) -> dict[tuple[str, str], Entry]:
-    """Compare all surveys with one layer and with the paper.
-
-    Parameters
-    ----------
-    findings
-        Findings of the paper.
-    surveys
-        Values of the surveys by ingredient, with `ONE_LAYER`.
-
-    Returns
-    -------
-    Entries by names of finding and ingredient.
-    """
-    entries = {}
-    for finding in findings:
-        drawn = {name: bootstrapped(finding, values) for name, values in surveys.items()}
-        base = drawn[ONE_LAYER]
-        for name, samples in drawn.items():
-            value, difference = float(samples[0]), float(samples[0] - base[0])
-            error, difference_error = float(samples[1:].std()), float((samples - base)[1:].std())
-            verdict = _verdict(finding, value, error, base=(float(base[0]), float(base[1:].std())), moved=difference_error)
-            entries[finding.name, name] = Entry(value, error, difference, difference_error, verdict)
+def compared(finding: Finding, surveys: Sequence[Values]) -> list[Entry]:
+    """Compare a finding of some surveys, the first of them with one layer, with that one and with the paper."""
+    drawn = [bootstrapped(finding, values) for values in surveys]
+    base = drawn[0]
+    entries = []
+    for samples in drawn:
+        value, difference = float(samples[0]), float(samples[0] - base[0])
+        error, moved = float(samples[1:].std()), float((samples - base)[1:].std())
+        verdict = _verdict(finding, value, error, base=(float(base[0]), float(base[1:].std())), moved=moved)
+        entries.append(Entry(value, error, difference, moved, verdict))
     return entries
 
 

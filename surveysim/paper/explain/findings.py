@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from surveysim.paper.explain.values import CLEANINGS, Values
+from surveysim.paper.explain.values import CLEANINGS, TRUSTED, Values
 from surveysim.paper.published import published
 from surveysim.paper.statistics import quarters
 
@@ -46,20 +46,55 @@ def findings() -> tuple[Finding, ...]:
     change = published()["b2_change_over_heights"]
     removed = cleaning["point_source_flux_removed"]
     return (
-        Finding("winds_trusted", "winds trusted", half, UNKNOWN, _trusted),
-        Finding("winds_trusted_better", "winds trusted, better half of B2", UNKNOWN, UNKNOWN, partial(_of_half, _trusted, 0)),
-        Finding("winds_trusted_poorer", "winds trusted, poorer half of B2", UNKNOWN, UNKNOWN, partial(_of_half, _trusted, 1)),
-        Finding("winds_features_better", "winds with other features, better half", UNKNOWN, UNKNOWN, partial(_of_half, _features, 0)),
-        Finding("winds_features_poorer", "winds with other features, poorer half", UNKNOWN, UNKNOWN, partial(_of_half, _features, 1)),
+        Finding("winds_trusted", "winds trusted", half, UNKNOWN, trusted),
+        Finding(
+            "winds_trusted_better", "winds trusted, better half of B2", UNKNOWN, UNKNOWN, partial(of_half, trusted, 0)
+        ),
+        Finding(
+            "winds_trusted_poorer", "winds trusted, poorer half of B2", UNKNOWN, UNKNOWN, partial(of_half, trusted, 1)
+        ),
+        Finding(
+            "winds_features_better",
+            "winds with other features, better half",
+            UNKNOWN,
+            UNKNOWN,
+            partial(of_half, _features, 0),
+        ),
+        Finding(
+            "winds_features_poorer",
+            "winds with other features, poorer half",
+            UNKNOWN,
+            UNKNOWN,
+            partial(of_half, _features, 1),
+        ),
         Finding("index_mean", "index b, mean", index["mean"], index["std"] / count**0.5, _mean("fitted_index")),
-        Finding("index_std", "index b, standard deviation", index["std"], index["std"] / (2 * count) ** 0.5, _index_std),
+        Finding(
+            "index_std", "index b, standard deviation", index["std"], index["std"] / (2 * count) ** 0.5, _index_std
+        ),
         Finding("raw_exponent", "raw noise against B2, exponent", slope, slope_error, _raw_exponent),
         Finding("raw_median", "raw noise, median [mK2]", *raw, _median("raw_mk2")),
-        Finding("templates_low", "higher templates / zeroth, below 0.5 Hz", ratio, UNKNOWN, _median("template_ratio_low")),
-        Finding("templates_all", "higher templates / zeroth, all frequencies", ratio, UNKNOWN, _median("template_ratio_all")),
+        Finding(
+            "templates_low", "higher templates / zeroth, below 0.5 Hz", ratio, UNKNOWN, _median("template_ratio_low")
+        ),
+        Finding(
+            "templates_all", "higher templates / zeroth, all frequencies", ratio, UNKNOWN, _median("template_ratio_all")
+        ),
         Finding("pca_best", "PCA best for a CMB spectrum", 0.0, UNKNOWN, partial(_best, "cmb", "pca")),
-        Finding("pca_modes", "modes removed by PCA", float(np.mean(cleaning["modes_removed_by_pca"])), UNKNOWN, _mean("pca_modes")),
+        Finding(
+            "pca_modes",
+            "modes removed by PCA",
+            float(np.mean(cleaning["modes_removed_by_pca"])),
+            UNKNOWN,
+            _mean("pca_modes"),
+        ),
         Finding("height_change", "B2 change with assumed height, half range", change, UNKNOWN, _height_change),
+        Finding(
+            "height_change_limited",
+            "the same, from model maps of 465 arcmin",
+            change,
+            UNKNOWN,
+            _limited_height_change,
+        ),
         *(
             Finding(f"flux_{name}", f"flux removed, {name}", removed[name], UNKNOWN, _mean(f"flux_removed_{name}"))
             for name in CLEANINGS
@@ -90,17 +125,18 @@ def paper_slope() -> tuple[float, float]:
 # ---------------------------------------------------------------- statistics
 
 
-def _trusted(values: Values) -> float:
-    return float(np.mean(values["wind_flag"] == ""))
+def trusted(values: Values) -> float:
+    """Fraction of trusted winds."""
+    return float(np.mean(values["wind"] == TRUSTED))
 
 
 def _features(values: Values) -> float:
     """Fraction of winds with a flag other than noise."""
-    return float(np.mean(~np.isin(values["wind_flag"], ("", *UNCERTAIN))))
+    return float(np.mean(~np.isin(values["wind"], (TRUSTED, *UNCERTAIN))))
 
 
-def _of_half(statistic: Callable[[Values], float], half: int, values: Values) -> float:
-    """Statistic of the observations below (0) or above (1) the median of the simulated B2."""
+def of_half(statistic: Callable[[Values], float], half: int, values: Values) -> float:
+    """Return a statistic of the observations below (0) or above (1) the median of the simulated B2."""
     poorer = values["drawn_b2"] > np.median(values["drawn_b2"])
     return statistic({name: column[poorer == bool(half)] for name, column in values.items()})
 
@@ -135,3 +171,8 @@ def _height_change(values: Values) -> float:
     """Half of the change of fitted B2 from the highest to the lowest assumed layer, median."""
     change = (values["lowest_layer_b2"] - values["highest_layer_b2"]) / values["fitted_b2"]
     return float(np.nanmedian(change) / 2)
+
+
+def _limited_height_change(values: Values) -> float:
+    """The same, for fits with model maps of limited size."""
+    return float(np.nanmedian(values["limited_lowest_ratio"] - values["limited_highest_ratio"]) / 2)

@@ -27,23 +27,27 @@ class Ingredient:
 
 
 @dataclass(frozen=True)
-class SecondLayer:
-    """A second layer of several shares of B2, at some angles to the wind of the first.
+class Explained:
+    """Surveys of an explanation.
 
     Attributes
     ----------
-    shares
-        Fractions of B2.
-    turns_deg
-        Angles between the winds.
-    height_m, wind_factor
-        Height of the second layer and its wind speed over that of the first.
+    ingredients
+        One layer, each ingredient alone, the best combination.
+    scenes
+        Scene of each.
+    layers
+        Scenes of winds with a second layer, by its angle [deg] and share of B2.
     """
 
-    shares: tuple[float, ...]
-    turns_deg: tuple[float, ...]
-    height_m: float
-    wind_factor: float
+    ingredients: tuple[Ingredient, ...]
+    scenes: tuple[Scene, ...]
+    layers: Mapping[tuple[float, float], Scene]
+
+    @property
+    def observations(self) -> int:
+        """Number of observations to simulate."""
+        return sum(scene.observations for scene in (*self.scenes, *self.layers.values()))
 
 
 @lru_cache
@@ -72,32 +76,50 @@ def _without_empty(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {key: None if value == "" else value for key, value in settings.items()}
 
 
-def ingredient_scene(
-    item: Ingredient, scenarios: Path, *, observations: int, overrides: Mapping[str, Any] | None = None
-) -> Scene:
-    """Load the scene of an ingredient, with all cleaning algorithms.
+def explained(
+    scenarios: Path, *, observations: int | None = None, overrides: Mapping[str, Any] | None = None
+) -> Explained:
+    """Load and check the scenes of an explanation.
 
     Parameters
     ----------
-    item
-        The ingredient.
     scenarios
         Folder of the scene files.
     observations
-        Number of observations, at most that of the scene.
+        Observations of each survey; None for the number of `ingredients.toml`.
     overrides
-        Values by dotted key, for the scenes of all ingredients.
+        Values by dotted key, for all scenes.
 
     Raises
     ------
     SceneError
         For a scene that can't be run.
     """
-    path = scenarios / SCENE
-    scene = load_scene(path, SETTINGS | dict(overrides or {}) | dict(item.settings) | {"name": f"lynx_{item.name}"})
-    scene = scene.model_copy(update={"observations": min(observations, scene.observations)})
+    items, path, changes = ingredients(), scenarios / SCENE, dict(overrides or {})
+    changes |= {"observations": observations or _content()["observations"]}
+    scenes = tuple(_scene(path, item.title, SETTINGS | changes | dict(item.settings)) for item in items)
+    second = _content()["second_layer"]
+    layers = {
+        (turn, share): _scene(
+            path, f"a second layer of {share:g}", SETTINGS | changes | _second_layer(second, turn, share)
+        )
+        for turn in second["turns_deg"]
+        for share in second["shares"]
+    }
+    return Explained(items, scenes, layers)
+
+
+def _second_layer(second: Mapping[str, Any], turn_deg: float, share: float) -> dict[str, Any]:
+    """Settings of a second layer with a share of B2, and the first layer with the rest."""
+    first = {"name": "first", "share": 1 - share} | second["first"]
+    other = {"name": "second", "share": share, "wind_turn": f"{turn_deg:g} deg"} | second["second"]
+    return {"atmosphere.layers": [first, other]}
+
+
+def _scene(path: Path, title: str, settings: Mapping[str, Any]) -> Scene:
+    scene = load_scene(path, settings)
     try:
         prepare(scene)
     except SceneError as error:
-        raise SceneError(f"{path} with {item.title}: {error}") from None
+        raise SceneError(f"{path} with {title}: {error}") from None
     return scene

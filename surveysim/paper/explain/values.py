@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from math import radians
 
 import numpy as np
 
@@ -9,13 +10,15 @@ from mapmaker.cleaning import Cleaned
 from mapmaker.cleaning.templates import QUADRATIC, template_streams
 from mapmaker.kernels.pixels import bin_samples
 from mapmaker.stream_psd import hann_psd
+from surveysim.atmosphere.detector_correlation import correlation_grid
+from surveysim.atmosphere.turbulence_fit import TRACKS_RAD
 from surveysim.paper.figures.cleaning import ATMOSPHERE_HZ, frequencies, halfway_out
 from surveysim.paper.measured_survey import MeasuredSurvey, fit_survey
 from surveysim.paper.measurement import Measurement, measure
 from surveysim.reduction.cleaned_block import CleanedBlock, reduce_block
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline, apply_pipeline
 from surveysim.reduction.figure_of_merit import TARGETS, figures_of_merit
-from surveysim.reduction.setup import Setup, prepare
+from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import Engine, ordered_map
 from surveysim.scene.scene import Scene
 from surveysim.survey.scores import PEAK
@@ -33,6 +36,8 @@ SETTINGS = {
     "score.mask_separation_f_lambda": None,
     "score.reference": None,
 }
+TRUSTED = "trusted"  # a wind without flag
+MAP_RAD = radians(465 / 60)  # motion of the layer in a scan of 15 s at 31 arcmin/s: side of the smallest model maps
 Values = Mapping[str, np.ndarray]  # (n_obs,) by name
 
 
@@ -174,8 +179,21 @@ def _cleaned_with(part: CleanedBlock, pipeline: CleaningPipeline, base: Cleaned,
     )
 
 
-def survey_values(scene: Scene, engine: Engine, progress: Callable[[], None] = lambda: None) -> dict[str, np.ndarray]:
-    """Simulate the observations of a scene with `SETTINGS`, and return their values (n_obs,) by name.
+def survey_values(
+    scene: Scene, model: Scene, engine: Engine, progress: Callable[[], None] = lambda: None
+) -> dict[str, np.ndarray]:
+    """Simulate the observations of a scene, and return their values (n_obs,) by name.
+
+    Parameters
+    ----------
+    scene
+        Scene with `SETTINGS`.
+    model
+        Scene of the layer that the fits of B2 and spectral index assume.
+    engine
+        Workers.
+    progress
+        Called after each observation.
 
     Raises
     ------
@@ -186,7 +204,7 @@ def survey_values(scene: Scene, engine: Engine, progress: Callable[[], None] = l
     for item in ordered_map(ValuesJob(scene), range(scene.observations), engine):
         items.append(item)
         progress()
-    unscored = prepare(scene.model_copy(update={"score": None}))
+    unscored = prepare(model.model_copy(update={"score": None}))
     names = (scene.name,) * len(items)
     return _table(fit_survey(unscored, names, tuple(item.measurement for item in items)), items)
 
@@ -200,14 +218,40 @@ def _table(survey: MeasuredSurvey, items: list[ObservationValues]) -> dict[str, 
         "fitted_b2": survey.b2_fitted,
         "lowest_layer_b2": survey.b2_at((i_b, 0)),
         "highest_layer_b2": survey.b2_at((i_b, len(survey.grid.height_m) - 1)),
+        **_limited_b2(survey),
         "fitted_index": np.array([np.nan if best is None else survey.grid.index[best] for best in fits]),
-        "wind_flag": np.array([item.measurement.wind.flag for item in items]),
+        "wind": np.array([item.measurement.wind.flag or TRUSTED for item in items]),
         "raw_mk2": np.array([item.measurement.raw_mk2 for item in items]),
         "template_ratio_low": np.array([item.template_ratios[0] for item in items]),
         "template_ratio_all": np.array([item.template_ratios[1] for item in items]),
         "pca_modes": np.array([item.modes for item in items]),
     }
     for c, name in enumerate(CLEANINGS):
-        values |= {f"merit_{target}_{name}": np.array([x.merits[c, t] for x in items]) for t, target in enumerate(TARGETS)}
+        values |= {
+            f"merit_{target}_{name}": np.array([x.merits[c, t] for x in items]) for t, target in enumerate(TARGETS)
+        }
         values[f"flux_removed_{name}"] = np.array([item.flux_removed[c] for item in items])
     return values
+
+
+def _limited_b2(survey: MeasuredSurvey) -> dict[str, np.ndarray]:
+    """B2 at the lowest and highest layer over that of the fixed height, fitted with model maps of `MAP_RAD`.
+
+    The model's outer scale is an angle, the same at all heights. It changes the level of C alone, which gives B2.
+    """
+    air, i_h, heights = survey.setup.scene.atmosphere, survey.fixed[1], survey.grid.height_m
+    level = {}
+    for place in (0, i_h, -1):
+        grid = correlation_grid(
+            survey.bins.theta_rad,
+            index=(air.spectral_index,),
+            height_m=(heights[place],),
+            aperture_m=air.illuminated_aperture_m,
+            outer_scale_m=MAP_RAD * heights[place],
+            track_rad=TRACKS_RAD,
+            lowest_rad=min(float(item.elevation_rad.min()) for item in survey.measurements),
+        )
+        theory = replace(survey, grid=grid).theory
+        level[place] = np.array([np.log(theory(k)[0, 0]) @ survey.bins.count for k in range(len(survey.measurements))])
+    fall = {place: (level[i_h] - level[place]) / survey.bins.count.sum() for place in (0, -1)}
+    return {"limited_lowest_ratio": np.exp(fall[0]), "limited_highest_ratio": np.exp(fall[-1])}
