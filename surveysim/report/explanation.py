@@ -14,17 +14,16 @@ _ENTRY = ("value", "error", "difference", "difference_error", "verdict")
 def entry_table(content: Content) -> Table:
     """Return a row for each finding and ingredient, for files."""
     rows = [
-        (finding["name"], item["name"], _known(finding["paper"]), _known(finding["paper_error"]))
+        (finding["name"], finding["title"], item["name"], _known(finding["paper"]), _known(finding["paper_error"]))
         + tuple(_known(entry[name]) for name in _ENTRY)
         for finding in content["findings"]
         for item, entry in zip(content["ingredients"], finding["entries"], strict=True)
     ]
-    names = ("finding", "ingredient", "paper", "paper_error", *_ENTRY)
+    names = ("finding", "title", "ingredient", "paper", "paper_error", *_ENTRY)
     columns = tuple(
         file_column(name, list(values)) for name, values in zip(names, zip(*rows, strict=True), strict=True)
     )
-    titles = {finding["name"]: finding["title"] for finding in content["findings"]}
-    return Table("explain", "Findings with each ingredient", columns, meta={"titles": titles})
+    return Table("explain", "Findings with each ingredient", columns)
 
 
 def overview_table(content: Content) -> Table:

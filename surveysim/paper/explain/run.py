@@ -76,6 +76,9 @@ def _explain(asked: Explained, place: OutputDirectory, engine: Engine, progress:
             if values is None:
                 values = survey_values(scene, asked.scenes[0], engine, progress)
                 write_ecsv(place.path / name, values, UNITS, {"scene": scene.name, "scene_sha256": scene_hash(scene)})
+            else:
+                for _ in values["observation"]:
+                    progress()
             surveys.append(values)
         of_layers = {key: winds(scene, engine, progress) for key, scene in asked.layers.items()}
         content = _content(asked, surveys, trusted_rows(of_layers))
