@@ -4,12 +4,12 @@ import math
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.geometry import MapGeometry, covering_geometry
+from surveysim.atmosphere.layers import Layer
 from surveysim.atmosphere.water import Season, seasons
 from surveysim.atmosphere.weather import Water, site_water
 from surveysim.reduction.analysis import AnalysisSetup
@@ -49,7 +49,7 @@ from surveysim.telescope.scans import Scans, mid_times, samples_per_scan
 from surveysim.telescope.table_checks import check_table
 from surveysim.telescope.time_constants import assumed_time_constants, true_time_constants
 from surveysim.timestreams.scan_blocks import Block, scan_blocks
-from surveysim.timestreams.shared_parts import layer_strips
+from surveysim.timestreams.shared_parts import air_layers
 from surveysim.timestreams.sharing import check_groups, readout_groups
 from surveysim.timestreams.simulation import (
     AirSetup,
@@ -65,9 +65,6 @@ SAMPLE_S = 8e-8  # of a detector-sample, about
 SIGNAL_SIMS = 1.2  # time of the signal simulations of an observation, about, in that of its other work
 QUICK_S = 2.0
 TYPICAL_VARIANCE = 0.04  # relative variance of sigma from one observation, about, as of a square degree
-
-if TYPE_CHECKING:
-    from surveysim.atmosphere.screen_simulation import SlantStrips
 
 
 @dataclass(frozen=True)
@@ -121,7 +118,7 @@ class _Common:
     sky_geometry: MapGeometry
     times: Schedule | None
     seasons: tuple[Season, ...] | None
-    strips: "SlantStrips | None"
+    layers: tuple[Layer, ...]
 
 
 def _common(scene: Scene) -> _Common:
@@ -152,7 +149,7 @@ def _common(scene: Scene) -> _Common:
         _geometry(scene, reach, scene.map.pixel_rad / 2),
         times,
         _seasons(scene, times),
-        layer_strips(scene, extent),
+        air_layers(scene, extent),
     )
 
 
@@ -182,7 +179,7 @@ def _simulation(scene: Scene, common: _Common) -> Simulation:
         scene=scene,
         camera=cam_setup,
         observing=ObservingSetup(scene, common.pattern, common.scans, common.blocks),
-        air=AirSetup(common.strips, _water(scene), common.seasons, all_bands),
+        air=AirSetup(common.layers, _water(scene), common.seasons, all_bands),
         sky=SkySetup(scene, common.sky_geometry, tuple(cam_setup.beams.fwhm_rad.tolist())),
     )
 

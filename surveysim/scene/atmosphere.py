@@ -12,6 +12,7 @@ from surveysim.scene.fields import (
     FLUCTUATION_MAX,
     FLUCTUATION_MIN,
     B2s,
+    Duration,
     Fluctuations,
     Index,
     Length,
@@ -21,7 +22,9 @@ from surveysim.scene.fields import (
     SpeedExtent,
     Waters,
     number,
+    whole,
 )
+from surveysim.scene.layers import Layer, WindDrift, check_layers
 from surveysim.scene.section import Section, check_knots, check_quantiles
 from surveysim.scene.sites import with_site
 from surveysim.scene.units import shown, to_floats
@@ -51,7 +54,21 @@ class Atmosphere(Section):
     site: SiteName = None
     """Site that supplies place, water vapour, opacity and the keys that are left out. Not with a section [site]."""
     layer_height_m: Length = Field(alias="layer_height", json_schema_extra=_OF_SITE)
-    """Height of the layer above the telescope."""
+    """Height of the layer above the telescope. With several layers, the height that the drawn wind belongs to: the
+    angular speed times this height is the wind in m/s."""
+    layers: tuple[Layer, ...] = ()
+    """Without layers there is one, at `layer_height`. Not with a `profile`."""
+    profile: Literal["exponential"] | None = None
+    """Makes layers from a profile of the water vapour. "exponential": the power of fluctuations at a height is
+    proportional to the square of the water's density, which falls exponentially."""
+    profile_layers: Annotated[int, *whole(1, 20)] | None = Field(default=None, json_schema_extra={"otherwise": "4"})
+    """Number of layers of the `profile`."""
+    water_scale_height_m: Length | None = Field(alias="water_scale_height", default=None, json_schema_extra=_OF_SITE)
+    """Scale height of the density of water vapour, for a `profile`."""
+    decorrelation_time_s: Duration | None = Field(alias="decorrelation_time", default=None)
+    """Time T in which the pattern of each layer evolves, beside its motion: the correlation at a lag t < 2 T is
+    (1 - t / 2 T) cos(pi t / 2 T) + sin(pi t / 2 T) / pi, 0.76 at T / 2 and 0.32 at T, and none beyond 2 T. Without
+    it the layers are frozen."""
     b2_probabilities: Probabilities = ()
     """Probabilities of the quantiles `b2`, between 0 and 1."""
     b2: B2s = Field(default=(), json_schema_extra={"otherwise": "follows from the site"})
@@ -77,6 +94,8 @@ class Atmosphere(Section):
     """Standard deviation of the natural logarithm of the wind speed."""
     wind_b2_exponent: Annotated[float, *number(-2, 2)] = 0.0
     """Exponent of the median wind speed as a power of B2 over its median."""
+    wind_drift: WindDrift | None = None
+    """Without it the wind is constant in an observation. For all layers without a section of their own."""
 
     @model_validator(mode="before")
     @classmethod
@@ -152,7 +171,20 @@ class Atmosphere(Section):
             raise ValueError(
                 f"outer_scale: missing; an index of {self.spectral_index:g} (4 or more) needs an outer scale"
             )
+        self._layers_are_whole()
         return self
+
+    def _layers_are_whole(self) -> None:
+        """Raise ValueError for layers that can't be drawn, and for keys of a profile that is none."""
+        if self.layers:
+            check_layers(self.layers, self.spectral_index, self.outer_scale_m, self.illuminated_aperture_m)
+        if self.layers and self.profile:
+            raise ValueError("profile: found with 'layers'; one of them is expected")
+        if self.profile and self.water_scale_height_m is None:
+            raise ValueError("water_scale_height: missing; a 'profile' needs it")
+        for name in ("profile_layers", "water_scale_height_m"):
+            if self.profile is None and getattr(self, name) is not None:
+                raise ValueError(f"{name.removesuffix('_m')}: found without 'profile', which it belongs to")
 
     def _water_is_whole(self) -> None:
         """Raise ValueError for water of a site that is no distribution."""

@@ -1,13 +1,16 @@
-"""The atmosphere: a frozen layer that the wind moves through the beams."""
+"""The atmosphere: layers that the wind moves through the beams."""
 
+import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mapmaker.geometry import sky_offsets
 from mapmaker.timestreams import FocalPlane, scan_bounds
+from surveysim.atmosphere.layers import Layer
 from surveysim.atmosphere.weather import Weather, slant_b2
-from surveysim.runtime.rng import RandomPurpose, normal_deviates
+from surveysim.runtime.rng import NormalDeviates, RandomPurpose, normal_deviates
 from surveysim.telescope.pointing import Pointing, sky_vector
 from surveysim.timestreams.observed_block import ObservedBlock
 from surveysim.timestreams.scan_blocks import Block
@@ -19,11 +22,11 @@ if TYPE_CHECKING:
 
 
 def add_atmosphere(data_mk: np.ndarray, of: ObservedBlock) -> None:
-    """Add the layer of a block to streams (n_det, n_samp), in place."""
-    add_layer(of.setup, of.observation, of.whole, weather=of.weather, data=data_mk, block=of.block)
+    """Add the layers of a block to streams (n_det, n_samp), in place."""
+    add_layers(of.setup, of.observation, of.whole, weather=of.weather, data=data_mk, block=of.block)
 
 
-def add_layer(
+def add_layers(
     setup: Simulation,
     observation: int,
     pointing: Pointing,
@@ -33,29 +36,54 @@ def add_layer(
     realization: int = 0,
     block: Block | None = None,
 ) -> None:
-    """Add one realization of the moving layer to streams (n_det, n_samp) [mK], in place.
+    """Add one realization of the moving layers to streams (n_det, n_samp) [mK], in place.
 
     Parameters
     ----------
     pointing
-        Pointing of the whole observation: its scans share the trends of the layer.
+        Pointing of the whole observation: its scans share the trends of a layer.
     data
         Streams of one block, or of all scans without a `block`.
     realization
         Number of the realization; time-streams have 0.
     """
+    b2 = slant_b2(setup.air.water, [weather], [pointing.elevation_rad.mean()])[0]
+    observed = _Observed(
+        setup, observation, pointing, block or Block(0, 0, len(pointing.elevation_rad)), realization=realization
+    )
+    for layer in setup.air.layers:
+        _add_layer(layer, observed, weather=weather, b2=b2 * layer.b2_factor, data=data)
+
+
+@dataclass(frozen=True)
+class _Observed:
+    """Scans of an observation, one block of them, and random numbers of the air."""
+
+    setup: Simulation
+    observation: int
+    pointing: Pointing
+    block: Block
+    realization: int
+
+    def deviates(self, purpose: RandomPurpose, part: str, block: int = 0) -> NormalDeviates:
+        """Random numbers of one layer."""
+        seed = self.setup.scene.seed
+        return normal_deviates(seed, purpose, self.observation, realization=self.realization, block=block, part=part)
+
+
+def _add_layer(layer: Layer, of: _Observed, *, weather: Weather, b2: float, data: np.ndarray) -> None:
+    """Add a layer of some amplitude B2 to the streams of a block."""
     from surveysim.atmosphere.scan_trends import draw_trends
     from surveysim.atmosphere.screen_simulation import add_along_tracks, scan_tracks
 
-    block = block or Block(0, 0, len(pointing.elevation_rad))
+    pointing, block = of.pointing, of.block
     sine = np.sin(pointing.elevation_rad)
-    strips = setup.air.strips.at(float(sine.min()))
-    bounds, rate = scan_bounds(pointing.scan), setup.observing.scans.sample_rate_hz
-    motion = _layer_motion(setup, pointing, weather)
+    strips = layer.strips.at(float(sine.min()))
+    bounds, rate = scan_bounds(pointing.scan), of.setup.observing.scans.sample_rate_hz
+    motion = _layer_motion(of.setup, pointing, layer.wind(weather))
     tracks = scan_tracks(bounds, sample_rate_hz=rate, **motion, strips=strips)
     points = _strip_points(pointing, bounds, motion["layer_velocity_rad_s"], tracks=tracks, strips=strips)
-    seed, b2 = setup.scene.seed, slant_b2(setup.air.water, [weather], [pointing.elevation_rad.mean()])[0]
-    trends = draw_trends(points, normal_deviates(seed, RandomPurpose.TREND, observation, realization=realization))
+    trends = draw_trends(points, of.deviates(RandomPurpose.TREND, layer.part))
     add_along_tracks(
         data,
         bounds[block.first : block.end] - bounds[block.first, 0],
@@ -64,21 +92,24 @@ def add_layer(
         # Equation 2 of the paper, P = B2 sin(el)^(1 - b) alpha^-b, in angles over sin(el).
         amplitude_mk=np.sqrt(b2 / sine[block.first : block.end]),
         strips=strips,
-        deviates=normal_deviates(
-            seed, RandomPurpose.ATMOSPHERE, observation, realization=realization, block=block.number
-        ),
+        deviates=of.deviates(RandomPurpose.ATMOSPHERE, layer.part, block.number),
         trends=trends.scans(block.first, block.end),
     )
 
 
-def _layer_motion(setup: Simulation, pointing: Pointing, weather: Weather) -> dict[str, Any]:
-    """Compute offsets of detectors (n_scan, n_det, 2), velocities of boresight and layer (n_scan, 2), over sin(el)."""
+def _layer_motion(setup: Simulation, pointing: Pointing, wind: tuple[float, float]) -> dict[str, Any]:
+    """Compute offsets of detectors (n_scan, n_det, 2), velocities of boresight and layer (n_scan, 2), over sin(el).
+
+    `wind` is the layer's angular speed [rad/s] and direction [rad].
+    """
     slant = 1 / np.sin(pointing.elevation_rad)[:, None]
 
     def offsets(plane: FocalPlane) -> np.ndarray:
         return np.stack(sky_offsets(plane, pointing.array_angle_rad), axis=-1) * slant[:, None]
 
-    layer = np.stack(sky_vector(pointing.parallactic_rad, *weather.wind_rad_s), axis=-1)
+    speed, angle = wind
+    along = speed * math.cos(angle), speed * math.sin(angle)
+    layer = np.stack(sky_vector(pointing.parallactic_rad, *along), axis=-1)
     return {
         "offsets_rad": offsets(setup.camera.focal_plane),
         "velocity_rad_s": pointing.velocity_rad_s * slant,

@@ -6,12 +6,12 @@ they are first asked for: checks and plans need none of them.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mapmaker.geometry import MapGeometry
 from mapmaker.timestreams import FocalPlane
+from surveysim.atmosphere.layers import Layer
 from surveysim.atmosphere.water import Season
 from surveysim.atmosphere.weather import Water
 from surveysim.runtime.errors import OutOfRangeError, SceneError
@@ -30,10 +30,6 @@ from surveysim.telescope.scan_pattern import ScanPattern
 from surveysim.telescope.scans import ScanPath, Scans, duration_s, mid_times, samples_per_scan
 from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.shared_parts import photon_coherence, scene_sky, shared_noise
-
-if TYPE_CHECKING:
-    from surveysim.atmosphere.screen_simulation import SlantStrips
-
 
 _NONE = PixelCoherence("none")
 
@@ -166,8 +162,8 @@ class AirSetup:
 
     Parameters
     ----------
-    strips
-        Strips of the layer, none drawn yet; None without an atmosphere.
+    layers
+        Turbulent layers; none without an atmosphere.
     water
         Response of the band to the water of the site; None without a site.
     seasons
@@ -176,7 +172,7 @@ class AirSetup:
         Detectors of all bands of the camera, which see the same strips; None for a camera of one band.
     """
 
-    strips: "SlantStrips | None"
+    layers: tuple[Layer, ...]
     water: Water | None
     seasons: tuple[Season, ...] | None = None
     all_bands: FocalPlane | None = None
