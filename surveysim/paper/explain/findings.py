@@ -10,7 +10,6 @@ from surveysim.paper.explain.values import CLEANINGS, TRUSTED, Values
 from surveysim.paper.published import published
 from surveysim.paper.statistics import quarters
 
-UNCERTAIN = ("delays too uncertain", "no coherent delay")  # flags of winds that noise hides
 RESAMPLES, SEED = 400, 20100102
 UNKNOWN = float("nan")
 
@@ -52,20 +51,6 @@ def findings() -> tuple[Finding, ...]:
         ),
         Finding(
             "winds_trusted_poorer", "winds trusted, poorer half of B2", UNKNOWN, UNKNOWN, partial(of_half, trusted, 1)
-        ),
-        Finding(
-            "winds_features_better",
-            "winds with other features, better half",
-            UNKNOWN,
-            UNKNOWN,
-            partial(of_half, _features, 0),
-        ),
-        Finding(
-            "winds_features_poorer",
-            "winds with other features, poorer half",
-            UNKNOWN,
-            UNKNOWN,
-            partial(of_half, _features, 1),
         ),
         Finding("index_mean", "index b, mean", index["mean"], index["std"] / count**0.5, _mean("fitted_index")),
         Finding(
@@ -128,11 +113,6 @@ def paper_slope() -> tuple[float, float]:
 def trusted(values: Values) -> float:
     """Fraction of trusted winds."""
     return float(np.mean(values["wind"] == TRUSTED))
-
-
-def _features(values: Values) -> float:
-    """Fraction of winds with a flag other than noise."""
-    return float(np.mean(~np.isin(values["wind"], (TRUSTED, *UNCERTAIN))))
 
 
 def of_half(statistic: Callable[[Values], float], half: int, values: Values) -> float:
