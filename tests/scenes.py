@@ -143,3 +143,9 @@ min_elevation = "40 deg"
 WHITE_NOISE_SCENE = without_sections(SMALL_SCENE, "atmosphere", "excess", "photon", "sky", "score").replace(
     'algorithm = "average"', 'algorithm = "none"'
 )
+
+
+def with_scan(text: str, keys: str) -> str:
+    """The scene with other keys in its section [scan]."""
+    before, _, rest = text.partition("[scan]\n")
+    return f"{before}[scan]\n{keys}\n{rest[rest.index('[') :]}"

@@ -112,7 +112,8 @@ def _update(basis, weighted, product, power, held, step, previous, responsivity)
 
     It is NaN for c_i that vanish or are not finite.
     """
-    previous[:] = responsivity
+    for i in range(responsivity.size):  # a copy of slices takes seconds to compile: it can raise
+        previous[i] = responsivity[i]
     correlate(basis, weighted, product, power, responsivity)
     if not np.all(np.isfinite(responsivity)) or np.any(responsivity == 0.0):
         return np.nan

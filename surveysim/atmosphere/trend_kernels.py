@@ -97,6 +97,15 @@ def _factorize(matrix, size):
 
 
 @njit(cache=True, nogil=True)
+def _copy(block, out):
+    """Write a block to the first rows and columns of `out`."""
+    n_row, n_column = block.shape
+    for i in range(n_row):
+        for k in range(n_column):
+            out[i, k] = block[i, k]
+
+
+@njit(cache=True, nogil=True)
 def draw_trends(place, weight, normals, group, coefficients, scale):
     """Draw the trends of consecutive scans in groups, each given the group before.
 
@@ -124,12 +133,12 @@ def draw_trends(place, weight, normals, group, coefficients, scale):
     for start in range(0, n_scan, group):
         first, end = max(0, start - group), min(n_scan, start + group)
         size, known = (end - first) * n_trend, (start - first) * n_trend
-        covariance[:known, :known] = own[:known, :known]
+        _copy(own[:known, :known], covariance)  # a copy of slices takes seconds to compile: it can raise
         for a in range(start, end):
             for b in range(first, a + 1):
                 row, column = (a - first) * n_trend, (b - first) * n_trend
                 _add_covariance(covariance, row, column, place[a], weight[a], place[b], weight[b], coefficients, scale)
-        own[: size - known, : size - known] = covariance[known:size, known:size]
+        _copy(covariance[known:size, known:size], own)
         _factorize(covariance, size)
         for i in range(size):
             scan, trend = first + i // n_trend, i % n_trend
@@ -251,7 +260,8 @@ def _add_field_covariances(strip, used, lane, column, weight, step, stride, cell
     along, between, row = np.empty((4, stride)), np.empty(4), np.empty(n_x)
     for r in range(stride):
         _centred_weights(r / stride, between)
-        along[:, r] = between
+        for k in range(4):
+            along[k, r] = between[k]
     for n in range(n_lane):
         y = n / across
         cell = min(int(y), cells - 1)

@@ -16,7 +16,7 @@ import numpy as np
 from mapmaker.chunks import row_chunks
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import FocalPlane
-from surveysim.atmosphere.water import Season
+from surveysim.atmosphere.dated_weather import DatedWeather
 from surveysim.atmosphere.weather import Water, Weather, draw_weather, slant_b2
 from surveysim.forecasting.fitted_modes import NO_FITTED_MODES, FittedModes, template_modes
 from surveysim.forecasting.mode_response import ProjectedArray, layer_waves
@@ -122,23 +122,25 @@ def population_draws(setup: Setup) -> list[list[Draw]]:
         list is unbiased, with an error far below that of as many independent draws.
     """
     scene, air = setup.scene, setup.air
-    when = air.seasons or (None,) * scene.observations
-    return [list(draws) for draws in _population(scene.atmosphere, air.water, scene.seed, when)]
+    found = _population(scene.atmosphere, air.water, scene.seed, scene.observations, dated=air.dated)
+    return [list(draws) for draws in found]
 
 
 @lru_cache(maxsize=2)  # points of a sweep have weather in common
 def _population(
-    air: Atmosphere | None, water: Water | None, seed: int, when: tuple[Season | None, ...]
+    air: Atmosphere | None, water: Water | None, seed: int, n_obs: int, *, dated: DatedWeather | None
 ) -> tuple[tuple[Draw, ...], ...]:
-    n_obs = len(when)
     rng = generator(seed, RandomPurpose.WEATHER, realization=1)  # the survey is realization 0
     lists = []
     for shift in rng.random((_SHIFTS, _NUMBERS)):
         points = (shift + np.outer(np.arange(_DRAWS_A_SHIFT), _lattice_steps())) % 1
         numbers = np.minimum((points[:, -1] * n_obs).astype(int), n_obs - 1)
         draws = map(_QuasiRandomDraws, points[:, :-1])
-        dates = (when[number] for number in numbers)
-        weather = [draw_weather(air, water, *item) if air else None for item in zip(draws, dates, strict=True)]
+        dates = (dated.of(number) if dated else () for number in numbers)
+        weather = [
+            draw_weather(air, water, numbers_of, *date) if air else None
+            for numbers_of, date in zip(draws, dates, strict=True)
+        ]
         lists.append(tuple(zip(numbers.tolist(), weather, strict=True)))
     return tuple(lists)
 
@@ -361,7 +363,7 @@ def mean_hits(setup: Setup, pipeline: CleaningPipeline) -> np.ndarray:
     hits = np.zeros(geometry.n_x * geometry.n_y, np.int64)
     for number in numbers:
         _, pointing = observation_path(setup.observing, int(number))
-        angle = pointing.array_angle_rad[pointing.scan[::every]]
+        angle = pointing.array_angle_rad[::every]
         boresight = pointing.xi_rad[::every], pointing.eta_rad[::every], angle
         for rows in row_chunks(len(plane.x_rad), len(angle)):
             count_samples(boresight_pixels(geometry, *boresight, plane=plane.subset(rows)), hits)

@@ -11,7 +11,7 @@ from surveysim.forecasting.pilot import KeptScans
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.scored_region import ScoredRegion
 from surveysim.reduction.setup import Setup
-from surveysim.scene.observing import Scan
+from surveysim.scene.scan_section import ScanSection
 from surveysim.scene.scene import Scene
 from surveysim.survey.discarded_scans import MOST_DISCARDED
 from surveysim.timestreams.crosstalk import CrosstalkMatrix
@@ -160,7 +160,7 @@ def _discarded(kept: KeptScans) -> NeglectedEffect:
     return NeglectedEffect("discarded scans", share, sentence, share > MOST_DISCARDED)
 
 
-def _repeated_layer(path: Scan, radius_rad: float, inputs: EffectInputs) -> NeglectedEffect:
+def _repeated_layer(path: ScanSection, radius_rad: float, inputs: EffectInputs) -> NeglectedEffect:
     """Size of the layer's noise where consecutive scans see the same air, which the forecast takes as independent.
 
     Without cleaning it is the whole layer: the trends of consecutive scans are alike in any wind.

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 from scipy.fft import rfft
@@ -24,6 +25,7 @@ from surveysim.atmosphere.weather import Weather, slant_b2
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.runtime.errors import InsufficientDataError
 from surveysim.scene.scene import Scene
+from surveysim.telescope.patterns.raster import Raster
 from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.observation import draw_observation
@@ -136,12 +138,12 @@ def measure(setup: Setup, streams: Timestreams, observation: int) -> Measurement
     return Measurement(
         observation=observation,
         truth=truth,
-        layer_b2=float(slant_b2(setup.air.water, [truth], [pointing.elevation_rad.mean()])[0]),
+        layer_b2=float(slant_b2(setup.air.water, [truth], [pointing.scan_elevation_rad.mean()])[0]),
         wind=wind,
-        camera_angle_rad=float(pointing.array_angle_rad[0] - pointing.parallactic_rad[0]),
+        camera_angle_rad=pointing.camera_angle_rad,
         profile=correlation_profile(scan_covariances(streams.data_mk, bounds), bins),
         track_rad=np.hypot(*(wind.velocity_rad_s - velocity).T) * seconds,
-        elevation_rad=pointing.elevation_rad,
+        elevation_rad=pointing.scan_elevation_rad,
         raw_mk2=raw_variance(setup, streams),
         map_mk2=variance,
         map_white_mk2=white,
@@ -239,11 +241,12 @@ def map_variances(setup: Setup, streams: Timestreams, pointing: Pointing, cleane
     multipoles. Both are NaN for a map with gaps.
     """
     geometry, plane = setup.analysis.geometry, streams.focal_plane
-    angle = pointing.array_angle_rad[pointing.scan]
+    angle = pointing.array_angle_rad
     index = boresight_pixels(geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
     item = bin_map(geometry, cleaned.data_mk, index, streams.scan_bounds, kept=cleaned.kept)
     signal = np.divide(item.weighted_sum, item.hits, out=np.zeros(item.hits.shape), where=item.hits > 0)
-    taper, high, share = _map_modes(geometry, setup.scene.scan.step_rad * (setup.observing.scans.n_scans - 1))
+    raster = cast(Raster, setup.observing.scans)  # of the paper's scenes
+    taper, high, share = _map_modes(geometry, raster.step_rad * (raster.n_scans - 1))
     if np.sum(taper**2 * (item.hits == 0)) > UNHIT_MAX * np.sum(taper**2):
         return np.nan, np.nan  # gaps would lower the variance
     psd = mode_psd(signal, taper, geometry.pixel_rad) / geometry.pixel_rad**2

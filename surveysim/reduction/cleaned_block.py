@@ -37,7 +37,7 @@ class CleanedBlock:
     def index(self) -> tuple[np.ndarray, ...]:
         """Pixels (n_det, n_samp) of the samples of each pipeline: -1 for lost samples and off the map."""
         pointing, plane = self.pointing, self.streams.focal_plane
-        angle = pointing.array_angle_rad[pointing.scan]
+        angle = pointing.array_angle_rad
         pixels = boresight_pixels(self.setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
         if self.streams.flags is not None:
             pixels[self.streams.flags] = -1

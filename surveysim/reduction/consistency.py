@@ -269,7 +269,7 @@ def check_excess(scene: Scene) -> None:
     if scene.excess and scene.excess.band_limit_hz * scene.scan.duration_s <= 1:
         raise SceneError(
             f"excess.band_limit: found {scene.excess.band_limit_hz:g} Hz; "
-            f"more than 1 / scan.duration = {1 / scene.scan.duration_s:g} Hz is expected"
+            f"more than 1 / {scene.scan.duration_key} = {1 / scene.scan.duration_s:g} Hz is expected"
         )
 
 

@@ -68,7 +68,7 @@ def add_simulated(
     for block, kept in zip(setup.observing.blocks, kept_scans, strict=True):
         pointing = whole.scans(block.first, block.end)
         lost = sample_flags(observed_block(setup, observation, block, whole), watch)
-        angle, bounds = pointing.array_angle_rad[pointing.scan], scan_bounds(pointing.scan)
+        angle, bounds = pointing.array_angle_rad, scan_bounds(pointing.scan)
         scene, names = setup.scene, setup.scene.score.noise_only_sets
         purposes = [NOISE_ONLY_SETS[name].purpose for name in names]
         deviates = [

@@ -122,7 +122,7 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
         removed=tuple(float(row[_some(of)].mean()) for row, of in zip(removed, kept, strict=True)),
         figures_of_merit=worth,
         weather=observation_weather(setup, observation),
-        elevation_rad=float(pointing.elevation_rad.mean()),
+        elevation_rad=float(pointing.scan_elevation_rad.mean()),
         raw_psd=mean_psd(sums.raw),
         clean_psd=psd[measured].mean(axis=0),
         compared_psd=np.array(compared).reshape(-1, psd.shape[1]),

@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from mapmaker.wind import HIGHEST_HZ
-from surveysim.atmosphere.water import Season
+from surveysim.atmosphere.dated_weather import DatedWeather
 from surveysim.atmosphere.weather import Water, fastest_wind, survey_weather
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.memory import machine_bytes
@@ -57,10 +57,9 @@ def check_layer(
         return 0
     drawn = scene.observations <= MOST_DRAWN
     if drawn:
-        when = air.seasons or (None,) * scene.observations
-        wind = _drawn_wind(scene.atmosphere, air.water, scene.seed, when)
+        wind = _drawn_wind(scene.atmosphere, air.water, scene.seed, scene.observations, dated=air.dated)
     else:
-        wind = fastest_wind(scene.atmosphere, air.water, scene.observations)
+        wind = fastest_wind(scene.atmosphere, air.water, scene.observations, dated=air.dated)
     return sum(
         _check_strip(
             layer.strips, wind * layer.fastest_factor, radius_rad=radius_rad, scans=scans, lowest_rad=lowest_rad
@@ -70,9 +69,11 @@ def check_layer(
 
 
 @lru_cache(maxsize=2)  # points of a sweep have weather in common
-def _drawn_wind(atmosphere: Atmosphere, water: Water | None, seed: int, when: tuple[Season | None, ...]) -> float:
+def _drawn_wind(
+    atmosphere: Atmosphere, water: Water | None, seed: int, n_obs: int, *, dated: DatedWeather | None
+) -> float:
     """Draw the fastest wind [rad/s] of all observations; raises an error for weather that is not finite."""
-    drawn = (survey_weather(atmosphere, water, seed, number, when=season) for number, season in enumerate(when))
+    drawn = (survey_weather(atmosphere, water, seed, number, dated=dated) for number in range(n_obs))
     return max(weather.wind_speed_rad_s for weather in drawn)
 
 
@@ -156,7 +157,7 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     seconds = of.n_det * of.n_samp * of.n_scans / scene.scan.sample_rate_hz
     events = {key: 100.0 * seconds * section.rate_hz for key, section in _events(scene).items() if section}
     # A block of one scan does not depend on the limit.
-    block_key = "numerics.max_block_memory" if of.n_scans > 1 else "scan.duration"
+    block_key = "numerics.max_block_memory" if of.n_scans > 1 else scene.scan.duration_key
     needed = {
         block_key: of.n_det * of.n_samp * of.n_scans * (5 + of.n_bands) * real + 16 * of.n_det * n_freq + filled,
         "cleaning.algorithm": _cleaning_memory(scene, of),

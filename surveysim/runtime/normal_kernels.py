@@ -121,7 +121,8 @@ def _fill(out, first, stream, fill_tile):
         whole = n == TILE
         fill_tile(out[done : done + TILE] if whole else scratch, number, stream)
         if not whole:
-            out[done : done + n] = scratch[skip : skip + n]
+            for i in range(n):  # a copy of slices takes seconds to compile: it can raise
+                out[done + i] = scratch[skip + i]
         done, number, skip = done + n, number + 1, 0
 
 

@@ -29,6 +29,9 @@ class RandomPurpose(IntEnum):
     JACKKNIFE = 11
     TREND = 12
     CALIBRATION = 13
+    WEATHER_DRIFT = 14
+    EVOLUTION = 15
+    WIND_DRIFT = 16
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from surveysim.runtime.text_files import key_text
-from surveysim.scene.metrics import KIND_TAG
 from surveysim.scene.section import Section
 from surveysim.scene.similar_names import did_you_mean, similar_names
+from surveysim.scene.unions import is_tag, of_tag
 from surveysim.scene.units import shown
 
 MAX_ERRORS = 30  # lines of an error
@@ -77,12 +77,12 @@ def unknown_key(key: str, scene: type[BaseModel], hidden: Collection[str] = ()) 
     allowed = [item for item in allowed_keys(section, scene) if item not in hidden]
     if not allowed:
         return "unknown key of a scene"
-    suggestion = did_you_mean(name, allowed, ".".join(part for part in section if not part.startswith(KIND_TAG)))
+    suggestion = did_you_mean(name, allowed, ".".join(part for part in section if not is_tag(part)))
     return f"unknown key; {suggestion or 'allowed are ' + ', '.join(allowed)}"
 
 
 def _line(item: Any, scene: type[BaseModel]) -> str:
-    key = key_text(".".join(str(part) for part in item["loc"] if not str(part).startswith(KIND_TAG)))
+    key = key_text(".".join(str(part) for part in item["loc"] if not is_tag(part)))
     message = item["msg"].removeprefix("Value error, ")
     if item["type"] == "value_error" and (match := re.match(r"([a-z_0-9]+): ", message)) and key:
         # A check of a whole section names the key that it is about.
@@ -117,14 +117,13 @@ def allowed_keys(location: Sequence[str | int], scene: type[BaseModel]) -> list[
 
 
 def sections_of(location: Sequence[str | int], scene: type[BaseModel]) -> list[Any]:
-    """Return the classes of the section at a location of the file, several for a list of different kinds."""
+    """Return the classes of the section at a location of the file, several where a key chooses among them."""
     found: list[Any] = [scene]
     for name in location:
         if isinstance(name, int):
             continue
-        if name.startswith(KIND_TAG):
-            kind = name.removeprefix(KIND_TAG)
-            found = [item for item in found if kind in get_args(item.model_fields["kind"].annotation)]
+        if is_tag(name):
+            found = of_tag(name, found)
         else:
             fields = [pair for item in found for pair in item.model_fields.items()]
             of_name = [field for key, field in fields if (field.alias or key) == name]

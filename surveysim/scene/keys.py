@@ -12,6 +12,7 @@ from surveysim.scene.bands import TABLE
 from surveysim.scene.fields import FILE
 from surveysim.scene.scene import Scene
 from surveysim.scene.shipped import shipped_folder
+from surveysim.scene.unions import CHOOSING_KEYS
 from surveysim.scene.units import to_float, unit_of
 
 LONGEST_EXAMPLE = 44
@@ -22,7 +23,7 @@ TYPES = {"integer": "integer", "number": "number", "string": "text", "array": "l
 class SceneSection:
     """A section of a scene file: dotted name ("" for the top level), whether it is a list, and its schema.
 
-    `kind` is the value of its key `kind` where that chooses among several schemas; else it is empty.
+    `chosen_by` is the key and value that choose among several schemas, as in the file; else it is empty.
     """
 
     name: str
@@ -30,15 +31,15 @@ class SceneSection:
     required: bool
     description: str
     schema: Mapping[str, Any]
-    kind: str = ""
+    chosen_by: str = ""
 
     @property
     def heading(self) -> str:
         """Heading as in the file."""
         if not self.name:
             return "Top of the file"
-        of_kind = f' `kind = "{self.kind}"`' if self.kind else ""
-        return f"`[[{self.name}]]`{of_kind}" if self.several else f"`[{self.name}]`"
+        chosen = f" `{self.chosen_by}`" if self.chosen_by else ""
+        return f"`[[{self.name}]]`{chosen}" if self.several else f"`[{self.name}]`{chosen}"
 
     @property
     def introduction(self) -> tuple[str, ...]:
@@ -68,12 +69,12 @@ def scene_sections() -> tuple[SceneSection, ...]:
 
 
 def all_keys() -> dict[str, dict[str, Any]]:
-    """Return all keys of a scene by dotted name, with their schema."""
-    return {
-        f"{section.name}.{name}".lstrip("."): item
-        for section in scene_sections()
-        for name, item in section_keys(section).items()
-    }
+    """Return all keys of a scene by dotted name, with their schema: the first where a key chooses among several."""
+    found: dict[str, dict[str, Any]] = {}
+    for section in scene_sections():
+        for name, item in section_keys(section).items():
+            found.setdefault(f"{section.name}.{name}".lstrip("."), item)
+    return found
 
 
 def file_keys() -> tuple[str, ...]:
@@ -105,9 +106,15 @@ def _walk(schema: Mapping[str, Any], section: SceneSection) -> Iterator[SceneSec
             full = f"{section.name}.{name}".lstrip(".")
             required = name in section.schema.get("required", ())
             description = flat.get("description", "")
-            kind = inner["properties"]["kind"]["const"] if len(several) > 1 else ""
+            chosen_by = _chosen_by(inner) if len(several) > 1 else ""
             is_list = flat.get("type") == "array"
-            yield from _walk(schema, SceneSection(full, is_list, required, description, inner, kind))
+            yield from _walk(schema, SceneSection(full, is_list, required, description, inner, chosen_by))
+
+
+def _chosen_by(schema: Mapping[str, Any]) -> str:
+    """Name the key and value that ask for a schema, as in the file."""
+    key = next(name for name in CHOOSING_KEYS if "const" in schema["properties"].get(name, {}))
+    return f"{key} = {json.dumps(schema['properties'][key]['const'])}"
 
 
 def _flat(item: Mapping[str, Any]) -> dict[str, Any]:
@@ -120,9 +127,9 @@ def _flat(item: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _references(item: Mapping[str, Any]) -> list[str]:
-    """Schemas of the section that a key holds: several for a list of sections of different kinds."""
-    inner = item.get("items", {})
-    return [found["$ref"] for found in (item, inner, *inner.get("oneOf", ())) if "$ref" in found]
+    """Schemas of the section that a key holds: several where a key chooses among them."""
+    one = (item, item.get("items", {}))
+    return [found["$ref"] for any_of in one for found in (any_of, *any_of.get("oneOf", ())) if "$ref" in found]
 
 
 def _row(key: str, item: Mapping[str, Any], required: bool) -> KeyRow:

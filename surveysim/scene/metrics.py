@@ -1,19 +1,18 @@
 """Sections [[score.metrics]]: further scores of the co-added maps, one class for each kind."""
 
 import re
-from functools import reduce
 from itertools import pairwise
-from operator import or_
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from surveysim.runtime.errors import InputError
 from surveysim.scene.fields import PositiveAngle, PositiveBandPower, TableOrName, number, whole
 from surveysim.scene.section import Section
 from surveysim.scene.spectrum_table import read_spectrum
+from surveysim.scene.unions import union_of
 from surveysim.scene.units import shown
 
 SIGMA_KEY = "flat_band_power.sigma"  # key of the score that every scene has
@@ -214,33 +213,10 @@ METRIC_SECTIONS: tuple[type[Metric], ...] = (
     PointSourceDepth,
     ClusterDepth,
 )
-KIND_TAG = "kind="  # begins the part of an error's location that names the kind
-
-
-_KINDS = {item.model_fields["kind"].annotation.__args__[0]: item for item in METRIC_SECTIONS}
-
-
-def _kind(value: Any) -> str:
-    return KIND_TAG + (value.get("kind") if isinstance(value, dict) else value.kind)
-
-
-def _with_kind(value: Any) -> Any:
-    """Raise ValueError for an entry without a known kind."""
-    found = value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
-    if not isinstance(found, str) or found not in _KINDS:
-        expected = f"one of {', '.join(map(repr, _KINDS))} is expected"
-        raise ValueError(f"kind: {'missing' if found is None else f'found {shown(found)}'}; {expected}")
-    return value
-
-
 if TYPE_CHECKING:
     AnyMetric = Metric
 else:
-    AnyMetric = Annotated[
-        reduce(or_, (Annotated[item, Tag(KIND_TAG + kind)] for kind, item in _KINDS.items())),
-        Discriminator(_kind),
-        BeforeValidator(_with_kind),
-    ]
+    AnyMetric = union_of(METRIC_SECTIONS, "kind")
 
 
 def check_metrics(metrics: tuple[Metric, ...], ell_bin: int, ell_max: int) -> None:

@@ -1,4 +1,4 @@
-"""Sections [field], [schedule], [fixed_pointing] and [scan]: where, when and how the telescope observes."""
+"""Sections [field], [schedule] and [fixed_pointing]: where, when and how the telescope observes."""
 
 from typing import Annotated, Any
 
@@ -6,23 +6,17 @@ from pydantic import Field
 
 from surveysim.scene.fields import (
     Angle,
-    AngleExtent,
-    Duration,
-    DurationExtent,
     Elevation,
-    Frequency,
     Height,
     HourAngle,
     IsoDate,
     Latitude,
     Longitude,
-    Speed,
     whole,
 )
 from surveysim.scene.section import Section
 
 _OF_SITE: Any = {"otherwise": "the site's"}
-MIN_SAMPLES = 8  # scans with fewer samples would vanish with their mean and a few templates
 
 
 class FieldSection(Section):
@@ -64,23 +58,3 @@ class FixedPointing(Section):
     """Elevation of every scan."""
     parallactic_angle_rad: Angle = Field(alias="parallactic_angle")
     """Parallactic angle: position angle of the zenith, from north through east."""
-
-
-class Scan(Section):
-    """Raster of one observation: parallel scans in alternating directions, along right ascension in one observation and
-    declination in the next."""
-
-    speed_rad_s: Speed = Field(alias="speed")
-    """Speed of the boresight on the sky during a scan."""
-    scans: Annotated[int, *whole(1, 100_000)]
-    """Number of scans in one observation."""
-    duration_s: Duration = Field(alias="duration")
-    """Duration of one scan without turnaround; 8 samples or more."""
-    turnaround_s: DurationExtent = Field(alias="turnaround")
-    """Duration of the turnaround between two scans, which is not simulated."""
-    step_rad: AngleExtent = Field(alias="step")
-    """Distance between neighbouring scans."""
-    dither_rad: AngleExtent = Field(alias="dither")
-    """Full range of the raster's offset, drawn uniformly for each observation in both directions."""
-    sample_rate_hz: Frequency = Field(alias="sample_rate")
-    """Sampling rate of the time-streams."""

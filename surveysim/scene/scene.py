@@ -28,13 +28,15 @@ from surveysim.scene.fields import Line, whole
 from surveysim.scene.instrument import Instrument
 from surveysim.scene.noise_and_sky import ONE_NOISE, StreamSections
 from surveysim.scene.numerics import Numerics
-from surveysim.scene.observing import MIN_SAMPLES, FieldSection, FixedPointing, Scan, Schedule
+from surveysim.scene.observing import FieldSection, FixedPointing, Schedule
 from surveysim.scene.optics import Optics
 from surveysim.scene.optimise import Optimise
 from surveysim.scene.place import Place, SiteSection, own_place, shipped_place, with_place
 from surveysim.scene.readout import ReadoutSections
 from surveysim.scene.renamed_keys import renamed_lines
 from surveysim.scene.response import ResponseSections
+from surveysim.scene.scan_patterns import AnyScan, RasterScan
+from surveysim.scene.scan_section import MIN_SAMPLES
 from surveysim.scene.section import Section
 from surveysim.scene.shipped import MAX_NAME, NAME, find_scene, is_name, no_such_scene
 from surveysim.scene.sites import OWN
@@ -84,7 +86,7 @@ class ObservationSections(Section):
     instrument: Instrument
     optics: Optics | None = None
     """Photon noise, beam and flux calibration follow from it where they are left out."""
-    scan: Scan
+    scan: AnyScan
 
 
 class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSections):
@@ -140,10 +142,14 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
     def _sections_fit(self) -> Self:
         if (self.schedule is None) == (self.fixed_pointing is None):
             raise ValueError("exactly one of the sections 'schedule' and 'fixed_pointing' is expected")
+        if self.fixed_pointing and (found := self.scan.needs_horizon):
+            raise ValueError(f"scan.{found} with [fixed_pointing]; a section [schedule] is expected in its place")
         if self.excess and len(self.excess.b2) > 1 and self.atmosphere is None:
             raise ValueError("excess.b2: found several values; without [atmosphere] one value is expected")
         if self.atmosphere and self.atmosphere.site and not self.instrument.band.width_hz:
             raise ValueError("instrument.bandwidth: missing; the opacity of a site needs the width of the band")
+        if self.fixed_pointing and self.atmosphere and (key := self.atmosphere.dated_key):
+            raise ValueError(f"atmosphere.{key}: found with [fixed_pointing]; [schedule] is expected, which has dates")
         self._beam_is_known()
         self._load_is_given()
         self._power_is_known()
@@ -151,8 +157,9 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
         if not any(getattr(self, name) for name in StreamSections.model_fields):
             *names, last = StreamSections.model_fields
             raise ValueError(f"at least one of {', '.join(names)} and {last} is expected")
-        if (found := self.scan.duration_s * self.scan.sample_rate_hz) < MIN_SAMPLES:
-            raise ValueError(f"scan.duration: found {found:.3g} samples a scan; {MIN_SAMPLES} or more are expected")
+        if (samples := self.scan.duration_s * self.scan.sample_rate_hz) < MIN_SAMPLES:
+            key = self.scan.duration_key
+            raise ValueError(f"{key}: found {samples:.3g} samples a scan; {MIN_SAMPLES} or more are expected")
         return self
 
     def _readout_fits(self) -> None:
@@ -166,7 +173,7 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
         if self.glitches and self.glitches.decay_time_s > self.scan.duration_s:
             raise ValueError(
                 f"glitches.decay_time: found {self.glitches.decay_time_s:g} s; {self.scan.duration_s:g} s or less is"
-                " expected, scan.duration"
+                f" expected, {self.scan.duration_key}"
             )
         if self.photon or self.detector:
             return
@@ -336,6 +343,8 @@ def survey_hash(scene: Scene) -> str:
 def _content(scene: Scene, excluded: Mapping[str, Any]) -> dict[str, Any]:
     """Values of a scene without some keys; of other bands all that the results depend on."""
     content = scene.model_dump(exclude={**excluded, "band": True, "optimise": True})
+    if isinstance(scene.scan, RasterScan):
+        del content["scan"]["pattern"]  # as of scenes from before there were other patterns
     if scene.band is None:
         return content
     return content | {"band": scene.band.name, "others": [_of_other(scene, other, excluded) for other in scene.others]}

@@ -14,24 +14,27 @@ def wrong_value(key: str, value: Any) -> str:
 
     Checks of several keys are left to scenes.
     """
-    try:
-        _adapter(key).validate_python(value)
-    except ValidationError as error:
-        return f"{key}: {validation_lines(error, Scene)[0]}"
-    return ""
+    errors = []
+    for adapter in _adapters(key):
+        try:
+            adapter.validate_python(value)
+        except ValidationError as error:
+            errors.append(f"{key}: {validation_lines(error, Scene)[0]}")
+        else:
+            return ""
+    return errors[0]
 
 
 @cache
-def _adapter(key: str) -> Any:
+def _adapters(key: str) -> tuple[Any, ...]:
+    """Types of a key: several where a section has several classes."""
     *sections, last = key.split(".")
-    fields = [
-        field
-        for section in sections_of(sections, Scene)
-        for name, field in section.model_fields.items()
-        if (field.alias or name) == last
-    ]
-    (field,) = fields
-    kind: Any = field.annotation
-    for item in field.metadata:
-        kind = Annotated[kind, item]
-    return TypeAdapter(kind)
+    found = []
+    for section in sections_of(sections, Scene):
+        for name, field in section.model_fields.items():
+            if (field.alias or name) == last:
+                kind: Any = field.annotation
+                for item in field.metadata:
+                    kind = Annotated[kind, item]
+                found.append(TypeAdapter(kind))
+    return tuple(found)

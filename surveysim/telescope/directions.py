@@ -60,6 +60,22 @@ def horizontal(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np.ndar
     return np.radians(elevation_deg), azimuth, np.where(nadir > 0, nadir - np.pi, np.pi)
 
 
+@dataclass(frozen=True)
+class LightPath:
+    """ERFA's astrometry parameters `seen` (n,), and the change (n, 3) of the field's direction by the Sun's gravity."""
+
+    seen: np.ndarray
+    deflection: np.ndarray
+
+
+def light_path(field: FieldCentre, site: Site, mjd: np.ndarray) -> LightPath:
+    """Compute the parameters of apparent directions near a field at UTC `mjd` (n,)."""
+    with _any_year():
+        seen = _astrometry(site, np.asarray(mjd, dtype=float), INTERPOLATION_S / erfa.DAYSEC)
+    place = erfa.s2c(field.ra_rad, field.dec_rad)
+    return LightPath(seen, _deflected(place, seen) - place)
+
+
 def hour_angle_dec(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute the apparent hour angle in [-pi, pi) and the declination of date of the field, (n,) each [rad]."""
     with _any_year():

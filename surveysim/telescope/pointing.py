@@ -9,12 +9,15 @@ import numpy as np
 
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.telescope.directions import FieldCentre, Site, horizontal, hour_angle_dec
+from surveysim.telescope.horizon_frame import HorizonFrame, to_horizon
 from surveysim.telescope.scans import ScanPath
 
 DAY_S = 86400.0
 SIDEREAL_RAD_S = 2 * np.pi * 1.00273790935 / DAY_S  # rate of the hour angle
 MJD_ZERO_ORDINAL = date(1858, 11, 17).toordinal()
 GOLDEN = (np.sqrt(5) - 1) / 2
+_OF_SAMPLES = ("time_s", "xi_rad", "eta_rad", "azimuth_rad", "elevation_rad", "array_angle_rad")
+_OF_SCANS = ("velocity_rad_s", "scan_elevation_rad", "scan_parallactic_rad", "scan_array_angle_rad")
 
 
 @dataclass(frozen=True)
@@ -32,9 +35,12 @@ class Schedule:
         return Schedule(self.start_mjd[which], self.hour_angle_rad[which], self.dec_rad[which])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Pointing:
     """Boresight and orientation of one observation; samples exist inside scans only.
+
+    The array is fixed to an alt-azimuth mount: its y axis is at a constant angle from the vertical through the
+    boresight. A fixed pointing has the centre of the field at azimuth 0, and no rotation of the array.
 
     Attributes
     ----------
@@ -46,15 +52,24 @@ class Pointing:
         Boresight in the tangent plane of the field.
     scan : (n_samp,)
         Number of the scan, int64.
+    azimuth_rad, elevation_rad : (n_samp,)
+        Boresight in the frame of the horizon; azimuth from north through east.
+    array_angle_rad : (n_samp,)
+        Angle of the array's y axis at the boresight: its position angle plus `mapmaker.geometry.north_angle`.
     velocity_rad_s : (n_scan, 2)
-        Velocity of the boresight (xi, eta).
-    elevation_rad : (n_scan,)
-        Elevation at mid-scan.
-    parallactic_rad : (n_scan,)
+        Mean velocity of the boresight (xi, eta).
+    scan_elevation_rad : (n_scan,)
+        Elevation of the field centre at mid-scan.
+    scan_parallactic_rad : (n_scan,)
         Position angle of the zenith at the field centre, at mid-scan.
-    array_angle_rad : (n_scan,)
-        Angle of the array's y axis from the tangent plane's north, which is true north at the centre
-        (`mapmaker.geometry.north_angle` relates it to the position angle at the boresight).
+    scan_array_angle_rad : (n_scan,)
+        Position angle of the array's y axis with the boresight at the field centre, at mid-scan.
+    camera_angle_rad
+        Angle of the array's y axis from the vertical, in the sense of position angles.
+    straight
+        Whether the boresight has a constant velocity in every scan.
+    flagged : (n_samp,) bool, optional
+        Samples of turnarounds, which no map has; None without any.
     """
 
     start_mjd: float
@@ -62,21 +77,26 @@ class Pointing:
     xi_rad: np.ndarray
     eta_rad: np.ndarray
     scan: np.ndarray
-    velocity_rad_s: np.ndarray
+    azimuth_rad: np.ndarray
     elevation_rad: np.ndarray
-    parallactic_rad: np.ndarray
     array_angle_rad: np.ndarray
+    velocity_rad_s: np.ndarray
+    scan_elevation_rad: np.ndarray
+    scan_parallactic_rad: np.ndarray
+    scan_array_angle_rad: np.ndarray
+    camera_angle_rad: float
+    straight: bool
+    flagged: np.ndarray | None = None
 
     def scans(self, first: int, end: int) -> "Pointing":
         """Select scans `first` to `end - 1`, renumbered from 0."""
         inside = (self.scan >= first) & (self.scan < end)
-        of_samples = {name: getattr(self, name)[inside] for name in ("time_s", "xi_rad", "eta_rad")}
-        of_scans = ("velocity_rad_s", "elevation_rad", "parallactic_rad", "array_angle_rad")
         return replace(
             self,
             scan=self.scan[inside] - first,
-            **of_samples,
-            **{name: getattr(self, name)[first:end] for name in of_scans},
+            **{name: getattr(self, name)[inside] for name in _OF_SAMPLES},
+            **{name: getattr(self, name)[first:end] for name in _OF_SCANS},
+            flagged=None if self.flagged is None else self.flagged[inside],
         )
 
 
@@ -199,17 +219,28 @@ def survey_angles(
 
 def observation_pointing(
     path: ScanPath,
-    start_mjd: float,
+    frame: HorizonFrame | None,
+    *,
     elevation_rad: np.ndarray,
     parallactic_rad: np.ndarray,
     camera_angle_rad: float,
 ) -> Pointing:
-    """Combine a path with angles at mid-scan, `elevation_rad` and `parallactic_rad` (n_scan,), to one observation's
-    pointing.
+    """Combine a path with the angles of the field centre at mid-scan to one observation's pointing.
 
-    The camera is fixed to an alt-azimuth mount and rotated by `camera_angle_rad` from the vertical, in the sense of
-    position angles: the position angle of the array's y axis is parallactic plus camera angle. Raises ValueError for
-    other shapes.
+    Parameters
+    ----------
+    path
+    frame
+        Horizon during the observation; None at fixed pointing.
+    elevation_rad, parallactic_rad : (n_scan,)
+        Angles of the field centre; at fixed pointing one value each.
+    camera_angle_rad
+        Angle of the array's y axis from the vertical, in the sense of position angles.
+
+    Raises
+    ------
+    ValueError
+        For angles of other shapes.
     """
     expected = path.mid_time_s.shape
     if elevation_rad.shape != expected or parallactic_rad.shape != expected:
@@ -217,17 +248,41 @@ def observation_pointing(
             f"expected one angle a scan, {expected}; got elevation {elevation_rad.shape}, "
             f"parallactic {parallactic_rad.shape}"
         )
+    if frame is None:
+        azimuth, elevation, vertical = _fixed_horizon(path, elevation_rad[0], parallactic_rad[0])
+    else:
+        azimuth, elevation, vertical = to_horizon(frame, path.time_s, path.xi_rad, path.eta_rad)
     return Pointing(
-        start_mjd=float(start_mjd),
+        start_mjd=frame.start_mjd if frame else 0.0,
         time_s=path.time_s,
         xi_rad=path.xi_rad,
         eta_rad=path.eta_rad,
         scan=path.scan,
+        azimuth_rad=azimuth,
+        elevation_rad=elevation,
+        array_angle_rad=vertical + camera_angle_rad,
         velocity_rad_s=path.velocity_rad_s,
-        elevation_rad=elevation_rad,
-        parallactic_rad=parallactic_rad,
-        array_angle_rad=parallactic_rad + camera_angle_rad,
+        scan_elevation_rad=elevation_rad,
+        scan_parallactic_rad=parallactic_rad,
+        scan_array_angle_rad=parallactic_rad + camera_angle_rad,
+        camera_angle_rad=camera_angle_rad,
+        straight=path.straight,
+        flagged=path.flagged,
     )
+
+
+def _fixed_horizon(
+    path: ScanPath, elevation_rad: float, parallactic_rad: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Azimuth, elevation and vertical (n_samp,) about a field that stays at azimuth 0 without rotation."""
+    cos, sin = np.cos(parallactic_rad), np.sin(parallactic_rad)
+    across, along = path.eta_rad * sin - path.xi_rad * cos, path.xi_rad * sin + path.eta_rad * cos
+    north, up = (
+        np.cos(elevation_rad) - along * np.sin(elevation_rad),
+        np.sin(elevation_rad) + along * np.cos(elevation_rad),
+    )
+    vertical = np.full(len(path.time_s), parallactic_rad)
+    return np.arctan2(across, north), np.arctan2(up, np.hypot(across, north)), vertical
 
 
 def sky_vector(angle_rad: np.ndarray, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:

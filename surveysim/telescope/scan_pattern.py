@@ -6,9 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from surveysim.scene.observing import Scan
-from surveysim.scene.section import Section
-from surveysim.telescope.raster import observation_raster, raster_extent, scene_raster
+from surveysim.scene.scan_figures import DaisyScan, LissajousScan, PongScan
+from surveysim.scene.scan_patterns import RasterScan
+from surveysim.scene.scan_section import ScanSection
+from surveysim.telescope.horizon_frame import HorizonFrame
+from surveysim.telescope.patterns.daisy import scene_daisy
+from surveysim.telescope.patterns.figures import figure_extent, figure_path
+from surveysim.telescope.patterns.lissajous import scene_lissajous
+from surveysim.telescope.patterns.pong import scene_pong
+from surveysim.telescope.patterns.raster import observation_raster, raster_extent, scene_raster
 from surveysim.telescope.scans import ScanPath, Scans
 
 
@@ -24,21 +30,27 @@ class ScanPattern:
     scans
         Function that makes the pattern's record, with the number and timing of scans, from the section.
     path
-        Function of that record, the number of an observation and its dither (2,) [rad]: path of the boresight.
+        Function of that record, the number of an observation, its dither (2,) [rad], and the horizon during it, None at
+        fixed pointing: path of the boresight.
     extent_rad
         Function of that record: largest offset of the boresight from the centre of the pattern, along either axis.
     """
 
     name: str
-    section: type[Section]
+    section: type[ScanSection]
     scans: Callable[[Any], Scans]
-    path: Callable[[Any, int, np.ndarray], ScanPath]
+    path: Callable[[Any, int, np.ndarray, HorizonFrame | None], ScanPath]
     extent_rad: Callable[[Any], float]
 
 
-SCAN_PATTERNS = (ScanPattern("raster", Scan, scene_raster, observation_raster, raster_extent),)
+SCAN_PATTERNS = (
+    ScanPattern("raster", RasterScan, scene_raster, observation_raster, raster_extent),
+    ScanPattern("daisy", DaisyScan, scene_daisy, figure_path, figure_extent),
+    ScanPattern("lissajous", LissajousScan, scene_lissajous, figure_path, figure_extent),
+    ScanPattern("pong", PongScan, scene_pong, figure_path, figure_extent),
+)
 
 
-def scan_pattern(section: Section) -> ScanPattern:
+def scan_pattern(section: ScanSection) -> ScanPattern:
     """Find the pattern of a section [scan]."""
     return next(item for item in SCAN_PATTERNS if isinstance(section, item.section))

@@ -1,11 +1,12 @@
 """Scans of one observation, whatever their pattern: their number, their timing, and the path of the boresight."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from surveysim.runtime.errors import OutOfRangeError
-from surveysim.scene.observing import MIN_SAMPLES
+from surveysim.scene.scan_section import MIN_SAMPLES, ScanSection
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -14,8 +15,8 @@ class Scans:
 
     Attributes
     ----------
-    speed_rad_s
-        Speed of the boresight in a scan.
+    speed_rad_s, fastest_rad_s
+        Mean and largest speed of the boresight on the sky.
     n_scans
     scan_s, turnaround_s
         Durations of a scan and of the turnaround after it.
@@ -25,6 +26,7 @@ class Scans:
     """
 
     speed_rad_s: float
+    fastest_rad_s: float
     n_scans: int
     scan_s: float
     turnaround_s: float
@@ -44,8 +46,12 @@ class ScanPath:
     scan : (n_samp,) int64
         Number of the scan.
     velocity_rad_s : (n_scan, 2)
-        Constant velocity (xi, eta) of each scan.
+        Mean velocity (xi, eta) of each scan.
     mid_time_s : (n_scan,)
+    straight
+        Whether the velocity is constant in every scan.
+    flagged : (n_samp,) bool, optional
+        Samples of turnarounds, which no map has; None without any.
     """
 
     time_s: np.ndarray
@@ -54,6 +60,21 @@ class ScanPath:
     scan: np.ndarray
     velocity_rad_s: np.ndarray
     mid_time_s: np.ndarray
+    straight: bool
+    flagged: np.ndarray | None = None
+
+
+def timing(section: ScanSection) -> dict[str, Any]:
+    """Return the arguments that `Scans` of a section [scan] have in common."""
+    return {
+        "speed_rad_s": section.speed_rad_s,
+        "fastest_rad_s": section.fastest_rad_s,
+        "n_scans": section.scans,
+        "scan_s": section.duration_s,
+        "turnaround_s": section.turnaround_s,
+        "dither_rad": section.dither_rad,
+        "sample_rate_hz": section.sample_rate_hz,
+    }
 
 
 def samples_per_scan(scans: Scans) -> int:

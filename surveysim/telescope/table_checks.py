@@ -27,7 +27,7 @@ def check_table(scene: Scene, cam: Camera) -> None:
         raise _refused(
             scene,
             "time_constant",
-            f"{longest:g} s; {duration / 10:g} s or less is expected, a tenth of scan.duration",
+            f"{longest:g} s; {duration / 10:g} s or less is expected, a tenth of {scene.scan.duration_key}",
         )
     if found.beam_fwhm_rad is not None and scene.score and scene.score.mask_separation_f_lambda:
         raise _refused(

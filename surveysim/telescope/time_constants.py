@@ -36,7 +36,7 @@ def true_time_constants(scene: Scene, cam: Camera) -> np.ndarray | None:
     if not (longest := tau_s.max()) <= scene.scan.duration_s / 10:
         raise SceneError(
             f"time_constants.value: found a detector of {longest:.4g} s; {scene.scan.duration_s / 10:g} s or less is"
-            " expected, a tenth of scan.duration"
+            f" expected, a tenth of {scene.scan.duration_key}"
         )
     return tau_s
 

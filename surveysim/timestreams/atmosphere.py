@@ -1,7 +1,6 @@
 """The atmosphere: layers that the wind moves through the beams."""
 
-import math
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,8 +9,9 @@ from mapmaker.geometry import sky_offsets
 from mapmaker.timestreams import FocalPlane, scan_bounds
 from surveysim.atmosphere.layers import Layer
 from surveysim.atmosphere.weather import Weather, slant_b2
-from surveysim.runtime.rng import NormalDeviates, RandomPurpose, normal_deviates
+from surveysim.runtime.rng import RandomPurpose
 from surveysim.telescope.pointing import Pointing, sky_vector
+from surveysim.timestreams.layer_views import AzElVector, LayerNumbers, LayerView, evolving_views, layer_wind
 from surveysim.timestreams.observed_block import ObservedBlock
 from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.simulation import Simulation
@@ -47,69 +47,55 @@ def add_layers(
     realization
         Number of the realization; time-streams have 0.
     """
-    b2 = slant_b2(setup.air.water, [weather], [pointing.elevation_rad.mean()])[0]
-    observed = _Observed(
-        setup, observation, pointing, block or Block(0, 0, len(pointing.elevation_rad)), realization=realization
-    )
+    b2 = slant_b2(setup.air.water, [weather], [pointing.scan_elevation_rad.mean()])[0]
+    block = block or Block(0, 0, len(pointing.scan_elevation_rad))
     for layer in setup.air.layers:
-        _add_layer(layer, observed, weather=weather, b2=b2 * layer.b2_factor, data=data)
+        numbers = LayerNumbers(setup.scene.seed, observation, realization, layer.part)
+        of = LayerView(pointing, block, layer_wind(layer, weather, pointing, numbers))
+        if layer.section.decorrelation_time_s is None:
+            _add_frozen(layer, setup, of, b2=b2 * layer.b2_factor, numbers=numbers, data=data)
+        for number, view in evolving_views(layer, of, numbers):
+            part = replace(numbers, part=f"{layer.part} realization {number}")
+            _add_frozen(layer, setup, view, b2=b2 * layer.b2_factor, numbers=part, data=data)
 
 
-@dataclass(frozen=True)
-class _Observed:
-    """Scans of an observation, one block of them, and random numbers of the air."""
-
-    setup: Simulation
-    observation: int
-    pointing: Pointing
-    block: Block
-    realization: int
-
-    def deviates(self, purpose: RandomPurpose, part: str, block: int = 0) -> NormalDeviates:
-        """Random numbers of one layer."""
-        seed = self.setup.scene.seed
-        return normal_deviates(seed, purpose, self.observation, realization=self.realization, block=block, part=part)
-
-
-def _add_layer(layer: Layer, of: _Observed, *, weather: Weather, b2: float, data: np.ndarray) -> None:
-    """Add a layer of some amplitude B2 to the streams of a block."""
+def _add_frozen(
+    layer: Layer, setup: Simulation, of: LayerView, *, b2: float, numbers: LayerNumbers, data: np.ndarray
+) -> None:
+    """Add one realization of a layer of some amplitude B2 to the streams of a block."""
     from surveysim.atmosphere.scan_trends import draw_trends
     from surveysim.atmosphere.screen_simulation import add_along_tracks, scan_tracks
 
     pointing, block = of.pointing, of.block
-    sine = np.sin(pointing.elevation_rad)
+    sine = np.sin(pointing.scan_elevation_rad)
     strips = layer.strips.at(float(sine.min()))
-    bounds, rate = scan_bounds(pointing.scan), of.setup.observing.scans.sample_rate_hz
-    motion = _layer_motion(of.setup, pointing, layer.wind(weather))
+    bounds, rate = scan_bounds(pointing.scan), setup.observing.scans.sample_rate_hz
+    motion = _layer_motion(setup, pointing, of.wind_rad_s)
     tracks = scan_tracks(bounds, sample_rate_hz=rate, **motion, strips=strips)
     points = _strip_points(pointing, bounds, motion["layer_velocity_rad_s"], tracks=tracks, strips=strips)
-    trends = draw_trends(points, of.deviates(RandomPurpose.TREND, layer.part))
+    trends = draw_trends(points, numbers.deviates(RandomPurpose.TREND))
+    # Equation 2 of the paper, P = B2 sin(el)^(1 - b) alpha^-b, in angles over sin(el).
+    amplitude = np.sqrt(b2 / sine[block.first : block.end])
     add_along_tracks(
         data,
-        bounds[block.first : block.end] - bounds[block.first, 0],
+        bounds[block.first : block.end] - bounds[block.first, 0] + of.start,
         sample_rate_hz=rate,
         tracks=tracks.scans(block.first, block.end),
-        # Equation 2 of the paper, P = B2 sin(el)^(1 - b) alpha^-b, in angles over sin(el).
-        amplitude_mk=np.sqrt(b2 / sine[block.first : block.end]),
+        amplitude_mk=amplitude if of.weight is None else amplitude[:, None] * of.weight,
         strips=strips,
-        deviates=of.deviates(RandomPurpose.ATMOSPHERE, layer.part, block.number),
+        deviates=numbers.deviates(RandomPurpose.ATMOSPHERE, block.number),
         trends=trends.scans(block.first, block.end),
     )
 
 
-def _layer_motion(setup: Simulation, pointing: Pointing, wind: tuple[float, float]) -> dict[str, Any]:
-    """Compute offsets of detectors (n_scan, n_det, 2), velocities of boresight and layer (n_scan, 2), over sin(el).
-
-    `wind` is the layer's angular speed [rad/s] and direction [rad].
-    """
-    slant = 1 / np.sin(pointing.elevation_rad)[:, None]
+def _layer_motion(setup: Simulation, pointing: Pointing, wind_rad_s: AzElVector) -> dict[str, Any]:
+    """Compute offsets of detectors (n_scan, n_det, 2), velocities of boresight and layer (n_scan, 2), over sin(el)."""
+    slant = 1 / np.sin(pointing.scan_elevation_rad)[:, None]
 
     def offsets(plane: FocalPlane) -> np.ndarray:
-        return np.stack(sky_offsets(plane, pointing.array_angle_rad), axis=-1) * slant[:, None]
+        return np.stack(sky_offsets(plane, pointing.scan_array_angle_rad), axis=-1) * slant[:, None]
 
-    speed, angle = wind
-    along = speed * math.cos(angle), speed * math.sin(angle)
-    layer = np.stack(sky_vector(pointing.parallactic_rad, *along), axis=-1)
+    layer = np.stack(sky_vector(pointing.scan_parallactic_rad, *wind_rad_s), axis=-1)
     return {
         "offsets_rad": offsets(setup.camera.focal_plane),
         "velocity_rad_s": pointing.velocity_rad_s * slant,
@@ -131,7 +117,7 @@ def _strip_points(
 
     first, last = bounds[:, 0], bounds[:, 1] - 1
     begin, middle = pointing.time_s[first], (pointing.time_s[first] + pointing.time_s[last]) / 2
-    slant = 1 / np.sin(pointing.elevation_rad)[:, None]
+    slant = 1 / np.sin(pointing.scan_elevation_rad)[:, None]
     boresight = np.stack([pointing.xi_rad[first], pointing.eta_rad[first]], axis=-1) * slant
     corner = boresight - _moved(layer_velocity_rad_s, middle, begin) + tracks.corner_rad
     return strip_points(strips, corner, tracks.direction, tracks.length_rad)

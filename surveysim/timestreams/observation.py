@@ -151,7 +151,7 @@ def _add(components: Sequence[StreamComponent], data: np.ndarray, of: ObservedBl
 
 
 def sample_flags(of: ObservedBlock, watch: Stopwatch) -> np.ndarray | None:
-    """Flags (n_det, n_samp) of the lost samples of a block; None where no component of the scene loses any."""
+    """Flags (n_det, n_samp) of the samples of a block that are lost or in turnarounds; None where there are none."""
     present = [item for item in present_components(of.setup.scene) if item.flag is not None]
     lost = np.zeros((of.setup.camera.n_det, len(of.pointing.time_s)), bool) if present else None
     for item in present:
@@ -159,7 +159,10 @@ def sample_flags(of: ObservedBlock, watch: Stopwatch) -> np.ndarray | None:
             item.flag(lost, of)
     if lost is not None:
         widen_flags(of.setup, lost)
-    return lost
+    if of.pointing.flagged is None:
+        return lost
+    turning = np.broadcast_to(of.pointing.flagged, (of.setup.camera.n_det, len(of.pointing.time_s)))
+    return turning.copy() if lost is None else lost | turning
 
 
 def draw_band(setup: Simulation, observation: int, whole: Pointing, block: Block) -> np.ndarray:
@@ -219,12 +222,12 @@ def _timestreams(
         "observation": observation,
         "start_mjd_utc": whole.start_mjd,
         "sample_rate_hz": setup.observing.scans.sample_rate_hz,
-        "elevation_deg": float(np.degrees(whole.elevation_rad.mean())),
-        "camera_angle_deg": float(np.degrees(whole.array_angle_rad[0] - whole.parallactic_rad[0])),
+        "elevation_deg": float(np.degrees(whole.scan_elevation_rad.mean())),
+        "camera_angle_deg": float(np.degrees(whole.camera_angle_rad)),
         **truth,
     }
     # Pointing has angles in the tangent plane, a file position angles: they differ by the convergence of meridians.
     north = north_angle(setup.sky.geometry, pointing.xi_rad, pointing.eta_rad)
-    angle = pointing.array_angle_rad[pointing.scan] - north
+    angle = pointing.array_angle_rad - north
     plane = setup.camera.focal_plane
     return Timestreams(data, pointing.time_s, ra, dec, angle, first + pointing.scan, plane, attributes, flags)

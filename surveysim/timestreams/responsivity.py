@@ -103,10 +103,10 @@ def array_load_k(of: ObservedBlock, seen_mk: np.ndarray) -> np.ndarray:
 
 def airmass_load_k(of: ObservedBlock) -> np.ndarray:
     """Load (n_scan,) [K] of the site's air in the scans of a block, beyond that at calibration; 0 without a site."""
-    water, elevation_rad = of.setup.air.water, of.pointing.elevation_rad
+    water, elevation_rad = of.setup.air.water, of.pointing.scan_elevation_rad
     if water is None:
         return np.zeros(len(elevation_rad))
     calibrated = of.setup.scene.responsivity_drift.calibration_elevation_rad
-    at = of.whole.elevation_rad if calibrated is None else np.array([calibrated])
+    at = of.whole.scan_elevation_rad if calibrated is None else np.array([calibrated])
     loads = [site_load_k(water.opacity, of.weather.pwv_mm, item) for item in (elevation_rad, at)]
     return loads[0] - loads[1].mean()

@@ -11,8 +11,8 @@ import numpy as np
 
 from mapmaker.geometry import MapGeometry
 from mapmaker.timestreams import FocalPlane
+from surveysim.atmosphere.dated_weather import DatedWeather
 from surveysim.atmosphere.layers import Layer
-from surveysim.atmosphere.water import Season
 from surveysim.atmosphere.weather import Water
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.once import once
@@ -22,6 +22,7 @@ from surveysim.scene.scene import Scene
 from surveysim.telescope.beams import Beams, beams_of
 from surveysim.telescope.directions import FieldCentre, Site
 from surveysim.telescope.focal_plane import Camera
+from surveysim.telescope.horizon_frame import HorizonFrame
 from surveysim.telescope.lattice_noise import LatticeFactor, LatticePixels, WaferPixels
 from surveysim.telescope.noise_levels import WhiteByDetector, WhiteLevels, white_by_detector
 from surveysim.telescope.pixel_coherence import DensePixels, PixelCoherence
@@ -166,16 +167,20 @@ class AirSetup:
         Turbulent layers; none without an atmosphere.
     water
         Response of the band to the water of the site; None without a site.
-    seasons
-        Season of each observation; None unless the water goes by it.
+    dated
+        Dependence of the weather on the dates of the observations; None without.
     all_bands
         Detectors of all bands of the camera, which see the same strips; None for a camera of one band.
     """
 
     layers: tuple[Layer, ...]
     water: Water | None
-    seasons: tuple[Season, ...] | None = None
+    dated: DatedWeather | None = None
     all_bands: FocalPlane | None = None
+
+    def block(self, n_obs: int) -> np.ndarray | None:
+        """Blocks (n_obs,) with independent weather of the first observations; None where all are independent."""
+        return None if self.dated is None or self.dated.block is None else self.dated.block[:n_obs]
 
 
 @dataclass(frozen=True)
@@ -266,16 +271,24 @@ def _pointing_numbers(seed: int, observation: int) -> tuple[float, ...]:
     return tuple(generator(seed, RandomPurpose.POINTING, observation).random(3) - 0.5)
 
 
+def horizon_frame(observing: ObservingSetup, observation: int) -> HorizonFrame | None:
+    """Horizon during one observation; None at fixed pointing."""
+    scene = observing.scene
+    if scene.schedule is None:
+        return None
+    return HorizonFrame(field_centre(scene), observing_site(scene), float(observing.angles.start_mjd[observation]))
+
+
 def observation_path(observing: ObservingSetup, observation: int) -> tuple[ScanPath, Pointing]:
     """Point one observation: the scan pattern, dithered, and the camera, turned."""
     offsets, turn = drawn_offsets(observing, observation)
-    path = observing.pattern.path(observing.scans, observation, offsets * observing.scans.dither_rad)
-    angles = observing.angles
+    frame, angles = horizon_frame(observing, observation), observing.angles
+    path = observing.pattern.path(observing.scans, observation, offsets * observing.scans.dither_rad, frame)
     pointing = observation_pointing(
         path,
-        angles.start_mjd[observation],
-        angles.elevation_rad[observation],
-        angles.parallactic_rad[observation],
-        turn,
+        frame,
+        elevation_rad=angles.elevation_rad[observation],
+        parallactic_rad=angles.parallactic_rad[observation],
+        camera_angle_rad=turn,
     )
     return path, pointing

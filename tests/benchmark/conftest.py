@@ -63,7 +63,7 @@ def lynx(pytestconfig) -> Prepared:
     setup = prepare(load_scene(pytestconfig.rootpath / "scenarios" / "lynx.toml", {}))
     _, pointing = observation_path(setup.observing, OBSERVATION)
     streams = draw_observation(setup, OBSERVATION)
-    angle = pointing.array_angle_rad[pointing.scan]
+    angle = pointing.array_angle_rad
     index = boresight_pixels(
         setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=streams.focal_plane
     )

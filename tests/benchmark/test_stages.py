@@ -65,7 +65,7 @@ def test_white_noise(per_sample, lynx):
 
 def test_pixels(per_sample, lynx):
     pointing, streams = lynx.pointing, lynx.streams
-    boresight = (pointing.xi_rad, pointing.eta_rad, pointing.array_angle_rad[pointing.scan])
+    boresight = (pointing.xi_rad, pointing.eta_rad, pointing.array_angle_rad)
     per_sample("pixels", lambda: boresight_pixels(lynx.setup.analysis.geometry, *boresight, plane=streams.focal_plane))
 
 

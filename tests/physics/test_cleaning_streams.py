@@ -144,7 +144,7 @@ def test_scans_that_go_along_with_the_wind_hold_nothing_to_fit_to(monkeypatch):
     scene = point.points[0].scene
     setup = prepare(scene)
     weather, (_, pointing) = observation_weather(setup, 5), observation_path(setup.observing, 5)
-    layer = np.stack(sky_vector(pointing.parallactic_rad, *weather.wind_rad_s), axis=-1)
+    layer = np.stack(sky_vector(pointing.scan_parallactic_rad, *weather.wind_rad_s), axis=-1)
     relative = np.linalg.norm(pointing.velocity_rad_s - layer, axis=-1) / np.linalg.norm(layer, axis=-1)
     along = relative < 0.1
     assert weather.b2 > BAD_MK2 and along.sum() == 13 and relative[~along].min() > 1.9

@@ -190,7 +190,7 @@ def test_the_thin_screen_says_what_average_subtraction_leaves():
         data = draw_observation(setup, number).data_mk
         scans = (data - data.mean(axis=0)).reshape(setup.camera.n_det, -1, N)
         found = pair_noise(as_cleaned(scans), bins, RATE_HZ)
-        model = residual_by_track(setup, "average", np.sin(pointing.elevation_rad).mean())
+        model = residual_by_track(setup, "average", np.sin(pointing.scan_elevation_rad).mean())
         predicted = weather.b2 * model(np.log(weather.wind_speed_rad_s * 15.0))
         ratio.append(np.array([found.adjacent_mk2, found.variance_mk2]) / predicted)
     error = np.std(ratio, axis=0) / np.sqrt(len(ratio))

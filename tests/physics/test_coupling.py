@@ -190,7 +190,7 @@ def scanned_maps(setup, view, algorithm):
     sums, hits = np.zeros((2, n * n)), np.zeros(n * n)
     for observation in (0, 13):
         path = observation_path(setup.observing, observation)[1]
-        at = path.xi_rad, path.eta_rad, path.array_angle_rad[path.scan]
+        at = path.xi_rad, path.eta_rad, path.array_angle_rad
         east, north = (offset.T for offset in sky_offsets(setup.camera.focal_plane, at[2]))
         places = [middle + (at[1] + north) / cell, middle - (at[0] + east) / cell]
         seen = ndimage.map_coordinates(view, places, order=1)

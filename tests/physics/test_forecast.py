@@ -205,11 +205,11 @@ def test_frames_of_observations_are_those_of_the_scans(scene_of):
     for number in range(4):
         _, pointing = observation_path(setup.observing, number)
         weather = observation_weather(setup, number)
-        layer = np.array([sky_vector(angle, *weather.wind_rad_s) for angle in pointing.parallactic_rad]) @ [1, 1j]
+        layer = np.array([sky_vector(angle, *weather.wind_rad_s) for angle in pointing.scan_parallactic_rad]) @ [1, 1j]
         relative = pointing.velocity_rad_s @ [1, 1j] - layer
         along = pointing.velocity_rad_s[:2] @ [1, 1j] / setup.observing.scans.speed_rad_s
         np.testing.assert_allclose(levels.motion[number], relative[:2] / along, rtol=1e-9)
-        offsets = np.stack(sky_offsets(setup.camera.focal_plane, pointing.array_angle_rad[:1]), axis=-1) @ [1, 1j]
+        offsets = np.stack(sky_offsets(setup.camera.focal_plane, pointing.scan_array_angle_rad[:1]), axis=-1) @ [1, 1j]
         place = projected_array(
             setup.camera.focal_plane, levels.angle[number], responsivity=setup.camera.responsivity, algorithm="none"
         ).place

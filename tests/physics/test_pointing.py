@@ -14,6 +14,8 @@ from surveysim.telescope.directions import (
     horizontal,
     hour_angle_dec,
 )
+from surveysim.telescope.horizon_frame import HorizonFrame, from_horizon, to_horizon
+from surveysim.telescope.patterns.raster import Raster, raster_path
 from surveysim.telescope.pointing import (
     SIDEREAL_RAD_S,
     observation_pointing,
@@ -21,7 +23,6 @@ from surveysim.telescope.pointing import (
     sky_vector,
     survey_angles,
 )
-from surveysim.telescope.raster import Raster, raster_path
 
 DEG = np.pi / 180
 ARCMIN = DEG / 60
@@ -319,6 +320,7 @@ def test_directions_are_those_of_astropy():
 def test_survey_angles_and_observation_pointing():
     scans = Raster(
         speed_rad_s=4 * ARCMIN,
+        fastest_rad_s=4 * ARCMIN,
         n_scans=18,
         scan_s=15.0,
         turnaround_s=10.0,
@@ -334,12 +336,34 @@ def test_survey_angles_and_observation_pointing():
     # Interpolated nutation and aberration differ by 1e-6 arcsec between sets of times.
     np.testing.assert_allclose([elevation[3, 7], parallactic[3, 7]], [one[0][0], one[2][0]], atol=1e-10)
 
-    pointing = observation_pointing(path, plan.start_mjd[3], elevation[3], parallactic[3], 0.4)
-    np.testing.assert_array_equal(pointing.array_angle_rad, parallactic[3] + 0.4)
+    frame = HorizonFrame(LYNX, CSO, plan.start_mjd[3])
+    angles = {"elevation_rad": elevation[3], "parallactic_rad": parallactic[3], "camera_angle_rad": 0.4}
+    pointing = observation_pointing(path, frame, **angles)
+    np.testing.assert_array_equal(pointing.scan_array_angle_rad, parallactic[3] + 0.4)
     assert pointing.start_mjd == plan.start_mjd[3]
     assert pointing.xi_rad is path.xi_rad
+    assert pointing.straight and pointing.flagged is None
     with pytest.raises(ValueError, match=r"\(18,\); got elevation \(5, 18\)"):
-        observation_pointing(path, plan.start_mjd[3], elevation, parallactic[3], 0.4)
+        observation_pointing(path, frame, **angles | {"elevation_rad": elevation})
+
+
+@pytest.mark.parametrize("field, site", [(LYNX, CSO), (FieldCentre(4.0, -1.45), Site(-0.4, -1.19, 5190.0))])
+def test_the_horizon_s_frame_at_the_field_centre_is_that_of_angles_alone(field, site):
+    frame, time_s = HorizonFrame(field, site, 58849.3), np.linspace(0, 7200, 50)
+    azimuth, elevation, vertical = to_horizon(frame, time_s, np.zeros(50), np.zeros(50))
+    expected = horizontal(field, site, frame.start_mjd + time_s / 86400)
+    np.testing.assert_allclose(elevation, expected[0], rtol=0, atol=1e-9)
+    assert np.abs(angle_difference(azimuth, expected[1]) * np.cos(elevation)).max() < 1e-9
+    # A point STEP_DOWN_RAD below the field is aberrated otherwise, by 1e-4 of the step.
+    assert np.abs(angle_difference(vertical, expected[2])).max() < 1e-7
+
+
+def test_directions_of_the_horizon_s_frame_come_back():
+    frame, rng = HorizonFrame(LYNX, CSO, 58849.3), np.random.default_rng(1)
+    (xi, eta), time_s = rng.uniform(-0.25, 0.25, (2, 200)), np.linspace(0, 20_000, 200)
+    azimuth, elevation, _ = to_horizon(frame, time_s, xi, eta)
+    # The gravity of the Sun bends aberrated light otherwise, by 4e-4 arcsec.
+    np.testing.assert_allclose(from_horizon(frame, time_s, azimuth, elevation), [xi, eta], rtol=0, atol=3e-9)
 
 
 OFFLINE = """

@@ -39,7 +39,7 @@ def test_saved_streams_say_where_simulated_detectors_look(path, dec_deg):
     setup = prepare(load_scene(path, {"field.ra": "359.99 deg", "field.dec": f"{dec_deg} deg", "sky": None}))
     _, pointing = observation_path(setup.observing, 1)
     streams = draw_observation(setup, 1)
-    angle, plane = pointing.array_angle_rad[pointing.scan], setup.camera.focal_plane
+    angle, plane = pointing.array_angle_rad, setup.camera.focal_plane
     expected = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
     found = pixel_indices(setup.analysis.geometry, streams)
     # Rounding, 1e-15 rad, takes one in 10^11 samples to another pixel.
@@ -55,7 +55,7 @@ def test_scan_velocities_of_saved_streams(path, dec_deg):
     """In the array's frame, from boresight and position angles alone; planes about two centres differ by 1e-5 here."""
     setup = prepare(load_scene(path, {"field.ra": "359.99 deg", "field.dec": f"{dec_deg} deg", "sky": None}))
     _, pointing = observation_path(setup.observing, 1)
-    (xi, eta), angle = pointing.velocity_rad_s.T, pointing.array_angle_rad
+    (xi, eta), angle = pointing.velocity_rad_s.T, pointing.scan_array_angle_rad
     expected = -xi * np.cos(angle) + eta * np.sin(angle), xi * np.sin(angle) + eta * np.cos(angle)
     found = scan_velocities(draw_observation(setup, 1)).T
     np.testing.assert_allclose(found, expected, atol=3e-5 * setup.observing.scans.speed_rad_s)

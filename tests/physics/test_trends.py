@@ -187,10 +187,10 @@ def test_an_observation_s_slopes_are_those_of_its_places_on_the_sky(scene_of):
     """Boresight, wind, elevation and the turning sky: the closed form at the places that the pointing says."""
     n_draw, setup = 250, prepare(scene_of(scan__scans=6))
     weather, pointing = Weather(1.0, 12 * ARCMIN, 0.8, math.nan), observation_path(setup.observing, 1)[1]
-    sine = np.sin(pointing.elevation_rad)
+    sine = np.sin(pointing.scan_elevation_rad)
     n_samp = len(pointing.time_s) // 6
     wind = weather.wind_rad_s
-    parallactic = np.interp(pointing.time_s, pointing.time_s.reshape(6, -1).mean(axis=1), pointing.parallactic_rad)
+    parallactic = np.interp(pointing.time_s, pointing.time_s.reshape(6, -1).mean(axis=1), pointing.scan_parallactic_rad)
     cos, sin = np.cos(parallactic), np.sin(parallactic)
     velocity = -wind[0] * cos + wind[1] * sin + 1j * (wind[0] * sin + wind[1] * cos)
     step = np.diff(pointing.time_s) * (velocity[1:] + velocity[:-1]) / 2

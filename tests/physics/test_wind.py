@@ -61,8 +61,8 @@ def measured(name, n):
         _, pointing = observation_path(setup.observing, i)
         angle = math.radians(streams.attributes["wind_angle_deg"])
         drawn = streams.attributes["wind_speed_arcmin_s"] * ARCMIN * np.array([math.cos(angle), math.sin(angle)])
-        sky = sky_vector(pointing.parallactic_rad[0], *drawn)
-        truth[i] = to_array(pointing.array_angle_rad[0], *sky)
+        sky = sky_vector(pointing.scan_parallactic_rad[0], *drawn)
+        truth[i] = to_array(pointing.scan_array_angle_rad[0], *sky)
         b2[i] = streams.attributes["b2_mk2"]
     return fits, truth, b2
 
@@ -72,7 +72,7 @@ def test_scan_velocities_are_those_of_the_raster():
     for observation in (0, 1):
         _, pointing = observation_path(setup.observing, observation)
         found = scan_velocities(draw_observation(setup, observation)) @ [1, 1j]
-        expected = to_array(pointing.array_angle_rad, *pointing.velocity_rad_s.T)
+        expected = to_array(pointing.scan_array_angle_rad, *pointing.velocity_rad_s.T)
         assert np.abs(found - expected).max() < 1e-3 * np.abs(expected).max()
 
 
@@ -118,13 +118,15 @@ def layers(winds, n, b2, noise=True):
         streams = draw_observation(still, i)
         _, pointing = observation_path(still.observing, i)
         data = streams.data_mk if noise else np.zeros_like(streams.data_mk)
-        sine = np.sin(pointing.elevation_rad)[:, None]
-        offsets = np.stack(sky_offsets(still.camera.focal_plane, pointing.array_angle_rad), axis=-1) / sine[:, None]
+        sine = np.sin(pointing.scan_elevation_rad)[:, None]
+        offsets = (
+            np.stack(sky_offsets(still.camera.focal_plane, pointing.scan_array_angle_rad), axis=-1) / sine[:, None]
+        )
         for number, (speed, angle) in enumerate(winds):
             # Turned from one observation to the next, so that scans lie at all angles to the winds.
             turned = math.radians(angle + 37 * i)
             moving = speed * ARCMIN * math.cos(turned), speed * ARCMIN * math.sin(turned)
-            layer = np.stack(sky_vector(pointing.parallactic_rad, *moving), axis=-1) / sine
+            layer = np.stack(sky_vector(pointing.scan_parallactic_rad, *moving), axis=-1) / sine
             amplitude = np.sqrt(b2 / sine[:, 0])
             bounds, scan = streams.scan_bounds, pointing.velocity_rad_s / sine
             add_atmosphere(

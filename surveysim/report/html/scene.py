@@ -12,6 +12,7 @@ from surveysim.reduction.signal_sims import carriers
 from surveysim.report.html.components import UK2, Block, Terms
 from surveysim.report.html.readout import DESCRIPTIONS
 from surveysim.report.html.response import response_terms
+from surveysim.report.html.scan_words import scan_words
 from surveysim.runtime.numbers import joined, number, plural, short
 from surveysim.scene.sites import OWN, site_title
 from surveysim.scene.units import b2_unit
@@ -92,9 +93,7 @@ def _field(scene: Values) -> Iterator[str]:
 
 def _observations(scene: Values) -> Iterator[str]:
     scan = scene["scan"]
-    raster = f"{plural(scan['scans'], 'scan')} of {short(scan['duration_s'])} s at {_arcmin(scan['speed_rad_s'])}/s"
-    yield f"{plural(scene['observations'], 'observation')} of {raster}, turnarounds of {short(scan['turnaround_s'])} s."
-    yield f"Scans are {_arcmin(scan['step_rad'])} apart."
+    yield f"{plural(scene['observations'], 'observation')} of {scan_words(scan)}"
     if scan["dither_rad"]:
         yield f"Each observation is offset at random within {_arcmin(scan['dither_rad'])}."
     yield f"Detectors are sampled at {short(scan['sample_rate_hz'])} Hz."
@@ -189,6 +188,10 @@ def _atmosphere(air: Values) -> Iterator[str]:
         yield f"They change within an observation, on a time scale of {short(air['wind_drift']['time_scale_s'])} s."
     if air["wind_b2_exponent"]:
         yield f"Their median is proportional to B2^({short(air['wind_b2_exponent'])})."
+    if air["weather_table"] is not None:
+        yield f"The table {PurePath(air['weather_table']).name} replaces distributions of its columns."
+    if air["correlation_time_s"] is not None:
+        yield f"Weather drifts: observations correlate by exp(-lag / {short(air['correlation_time_s'] / 3600)} h)."
 
 
 def _layers(air: Values) -> str:

@@ -109,13 +109,13 @@ def prepare_observation(rate_hz: float, folder: Path) -> Observation:
     path.write_text(SCENE)
     setup = prepare(load_scene(path, {"scan.sample_rate": f"{rate_hz} Hz"}))
     _, pointing = observation_path(setup.observing, 0)
-    wind = sky_vector(pointing.parallactic_rad[0], *observation_weather(setup, 0).wind_rad_s)
+    wind = sky_vector(pointing.scan_parallactic_rad[0], *observation_weather(setup, 0).wind_rad_s)
     bounds = scan_bounds(pointing.scan)
     since_start = (np.arange(len(pointing.scan)) - bounds[pointing.scan, 0]) / rate_hz
     return Observation(
         setup=setup,
         rate_hz=rate_hz,
-        offsets_rad=np.stack(sky_offsets(setup.camera.focal_plane, pointing.array_angle_rad[:1]), axis=-1)[0],
+        offsets_rad=np.stack(sky_offsets(setup.camera.focal_plane, pointing.scan_array_angle_rad[:1]), axis=-1)[0],
         boresight_rad=np.stack([pointing.xi_rad, pointing.eta_rad], axis=-1),
         layer_rad=(pointing.velocity_rad_s[pointing.scan] - np.array(wind)) * since_start[:, None],
         bounds=bounds,

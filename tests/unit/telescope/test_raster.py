@@ -3,12 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surveysim.telescope.raster import Raster, raster_path
+from surveysim.telescope.patterns.raster import Raster, raster_path
 from surveysim.telescope.scans import duration_s, samples_per_scan
 
 ARCMIN = np.pi / 180 / 60
 LYNX = Raster(
     speed_rad_s=4 * ARCMIN,
+    fastest_rad_s=4 * ARCMIN,
     n_scans=18,
     scan_s=15.0,
     turnaround_s=10.0,

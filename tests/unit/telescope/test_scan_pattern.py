@@ -16,7 +16,7 @@ from surveysim.timestreams.simulation import observation_path
 from tests.scenes import WHITE_NOISE_SCENE
 
 
-def circle(scans, observation, dither):
+def circle(scans, observation, dither, frame):
     """One turn a scan at the speed of the scans."""
     n = samples_per_scan(scans)
     time_s = (mid_times(scans)[:, None] + (np.arange(n) + 0.5 - n / 2) / scans.sample_rate_hz).ravel()
@@ -24,7 +24,7 @@ def circle(scans, observation, dither):
     radius = scans.speed_rad_s * scans.scan_s / (2 * np.pi)
     scan = np.repeat(np.arange(scans.n_scans), n)
     xi, eta = radius * np.cos(phase) + dither[0], radius * np.sin(phase) + dither[1]
-    return ScanPath(time_s, xi, eta, scan, np.zeros((scans.n_scans, 2)), mid_times(scans))
+    return ScanPath(time_s, xi, eta, scan, np.zeros((scans.n_scans, 2)), mid_times(scans), straight=False)
 
 
 @pytest.fixture

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surveysim.scene.observing import Scan
-from surveysim.telescope.scans import ScanPath, Scans, mid_times, samples_per_scan
+from surveysim.scene.scan_patterns import RasterScan
+from surveysim.telescope.horizon_frame import HorizonFrame
+from surveysim.telescope.scans import ScanPath, Scans, mid_times, samples_per_scan, timing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,17 +22,9 @@ class Raster(Scans):
     step_rad: float
 
 
-def scene_raster(section: Scan) -> Raster:
+def scene_raster(section: RasterScan) -> Raster:
     """Make the raster of a section [scan]."""
-    return Raster(
-        speed_rad_s=section.speed_rad_s,
-        n_scans=section.scans,
-        scan_s=section.duration_s,
-        turnaround_s=section.turnaround_s,
-        step_rad=section.step_rad,
-        dither_rad=section.dither_rad,
-        sample_rate_hz=section.sample_rate_hz,
-    )
+    return Raster(**timing(section), step_rad=section.step_rad)
 
 
 def raster_extent(raster: Raster) -> float:
@@ -39,7 +32,7 @@ def raster_extent(raster: Raster) -> float:
     return max(raster.speed_rad_s * raster.scan_s / 2, raster.step_rad * (raster.n_scans - 1) / 2)
 
 
-def observation_raster(raster: Raster, observation: int, dither: np.ndarray) -> ScanPath:
+def observation_raster(raster: Raster, observation: int, dither: np.ndarray, frame: HorizonFrame | None) -> ScanPath:
     """Compute the boresight path of the observation with a number: scans along RA and along Dec in turn."""
     return raster_path(raster, ("ra", "dec")[observation % 2], dither)
 
@@ -85,4 +78,5 @@ def raster_path(raster: Raster, along: str, dither: np.ndarray) -> ScanPath:
         scan=np.repeat(k.astype(np.int64), n),
         velocity_rad_s=velocity,
         mid_time_s=mid_s,
+        straight=True,
     )

@@ -1,0 +1,42 @@
+"""Section [scan]: the path of the telescope in one observation, one class for each pattern."""
+
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field
+
+from surveysim.scene.fields import AngleExtent, Duration, DurationExtent, Speed, whole
+from surveysim.scene.scan_figures import DaisyScan, LissajousScan, PongScan
+from surveysim.scene.scan_section import MOST_SCANS, ScanSection
+from surveysim.scene.unions import union_of
+
+
+class RasterScan(ScanSection):
+    """Raster of one observation: parallel scans in alternating directions, along right ascension in one observation and
+    declination in the next."""
+
+    pattern: Literal["raster"] = "raster"
+    """Pattern of the scans."""
+    speed_rad_s: Speed = Field(alias="speed")
+    """Speed of the boresight on the sky during a scan."""
+    scans: Annotated[int, *whole(1, MOST_SCANS)]
+    """Number of scans in one observation."""
+    duration_s: Duration = Field(alias="duration")
+    """Duration of one scan without turnaround; 8 samples or more."""
+    turnaround_s: DurationExtent = Field(alias="turnaround")
+    """Duration of the turnaround between two scans, which is not simulated."""
+    step_rad: AngleExtent = Field(alias="step")
+    """Distance between neighbouring scans."""
+
+    @property
+    def fastest_rad_s(self) -> float:
+        """Speed of the boresight."""
+        return self.speed_rad_s
+
+
+SCAN_SECTIONS: tuple[type[ScanSection], ...] = (RasterScan, DaisyScan, LissajousScan, PongScan)
+
+
+if TYPE_CHECKING:
+    AnyScan = ScanSection
+else:
+    AnyScan = union_of(SCAN_SECTIONS, "pattern", "raster")
