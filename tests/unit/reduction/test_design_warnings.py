@@ -40,6 +40,10 @@ FILTER = {
 }
 NIGHTS = {f"schedule.{key}": value for key, value in tomllib.loads(SCHEDULE)["schedule"].items()}
 NIGHTS |= {"fixed_pointing": None, "observations": 48, "atmosphere.correlation_time": "2 h"}
+# Radial speeds of up to 6 arcmin times 2 pi over 10 s, 3.77 arcmin/s.
+DAISY = {f"scan.{key}": None for key in ("speed", "scans", "turnaround", "step")}
+DAISY |= {"scan.pattern": "daisy", "scan.radius": "6 arcmin", "scan.radial_period": "10 s"}
+DAISY |= {"scan.duration": "1 min", "scan.chunk": "10 s"}
 # The small scene: samples 24 arcsec apart, a beam of 60 and pixels of 30; scans of 24 arcmin, 9 arcmin across, a dither
 # of 2 arcmin, and an array of 2.67 arcmin.
 CASES = {
@@ -62,6 +66,16 @@ CASES = {
         {"score.size": "13.8 arcmin"},
         {"score.size": "13.6 arcmin"},
         "score.size: the scored patch of 13.8 arcmin is larger than the 13.7 arcmin that scans in both directions",
+    ),
+    "fastest": (
+        DAISY | {"scan.sample_rate": "7.5 Hz"},
+        DAISY | {"scan.sample_rate": "7.6 Hz"},
+        "scan.sample_rate: samples are 30.2 arcsec apart, more than half of the beam of 60 arcsec; a rate of 7.54 Hz",
+    ),
+    "daisy": (
+        DAISY | {"score.size": "16.7 arcmin"},
+        DAISY | {"score.size": "16.6 arcmin"},
+        "score.size: the scored patch of 16.7 arcmin is larger than the 16.7 arcmin that the daisy covers (12 arcmin, and",
     ),
     "optics": (
         {"optics.elements": [ELEMENT]},
