@@ -43,7 +43,7 @@ MOST_BINS = 1_000_000
 MAX_MODES = 10_000  # the eigenvalues of so many take some minutes a scan
 
 
-def check_templates(scene: Scene, cam: Camera) -> None:
+def check_templates(scene: Scene, cam: Camera, scans: Scans) -> None:
     """Raise SceneError if the templates have no atmosphere to follow, or too few detectors."""
     section = scene.cleaning
     n_det = len(cam.focal_plane.x_rad)
@@ -61,18 +61,29 @@ def check_templates(scene: Scene, cam: Camera) -> None:
                 f"cleaning.{key}: found 'pca' with {n_det} detectors and scans of {samples} samples; "
                 f"{MAX_MODES} or fewer of one are expected, as it takes all eigenvalues of the smaller number"
             )
-        if "wind" in steps and scene.scan.scans < MIN_SCANS:
-            raise SceneError(
-                f"cleaning.{key}: found 'wind' with {scene.scan.scans} scans; {MIN_SCANS} or more are expected to"
-                " measure it"
-            )
-        cycles = scene.scan.duration_s * HIGHEST_HZ
-        if "wind" in steps and (cycles < LEAST_CYCLES or scene.scan.sample_rate_hz <= 2 * HIGHEST_HZ):
-            raise SceneError(
-                f"cleaning.{key}: found 'wind' with scans of {scene.scan.duration_s:g} s at"
-                f" {scene.scan.sample_rate_hz:g} Hz; {LEAST_CYCLES / HIGHEST_HZ:g} s or more at more than"
-                f" {2 * HIGHEST_HZ:g} Hz are expected to measure it"
-            )
+        if "wind" in steps:
+            _check_wind(scene, key, scans)
+
+
+def _check_wind(scene: Scene, key: str, scans: Scans) -> None:
+    """Raise SceneError for scans that do not tell the wind."""
+    if not scans.straight:
+        raise SceneError(
+            f"cleaning.{key}: found 'wind' with the pattern {scene.scan.pattern!r}; straight scans at constant speed,"
+            " as in a raster without turnarounds, are expected, as the delays of the layer change along others"
+        )
+    if scene.scan.scans < MIN_SCANS:
+        raise SceneError(
+            f"cleaning.{key}: found 'wind' with {scene.scan.scans} scans; {MIN_SCANS} or more are expected to measure"
+            " it"
+        )
+    cycles = scene.scan.duration_s * HIGHEST_HZ
+    if cycles < LEAST_CYCLES or scene.scan.sample_rate_hz <= 2 * HIGHEST_HZ:
+        raise SceneError(
+            f"cleaning.{key}: found 'wind' with scans of {scene.scan.duration_s:g} s at"
+            f" {scene.scan.sample_rate_hz:g} Hz; {LEAST_CYCLES / HIGHEST_HZ:g} s or more at more than"
+            f" {2 * HIGHEST_HZ:g} Hz are expected to measure it"
+        )
 
 
 def _check_fits(scene: Scene, key: str, steps: tuple[str, ...]) -> None:

@@ -29,7 +29,9 @@ from surveysim.reduction.consistency import (
     check_templates,
     sky_coefficients,
 )
+from surveysim.reduction.curved_tracks import curved_motions
 from surveysim.reduction.detector_weights import beams_of, detector_weights
+from surveysim.reduction.layer_checks import check_changes
 from surveysim.reduction.mount_check import check_mount
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
 from surveysim.reduction.response_checks import check_response
@@ -203,7 +205,7 @@ def _prepare(scene: Scene) -> Setup:
     common = _common(scene)
     cam, scans, geometry = common.cameras[scene.band_name], common.scans, common.geometry
     check_mount(scene, common.pattern, scans, common.times)
-    check_templates(scene, cam)
+    check_templates(scene, cam, scans)
     check_dead_time(scene, cam)
     for band in (scene, *scene.others):
         check_groups(band, common.cameras[band.band_name])
@@ -216,6 +218,7 @@ def _prepare(scene: Scene) -> Setup:
     check_healpix(scene)
     check_excess(scene)
     check_response(scene)
+    check_changes(scene)
     check_sky(scene, common.sky_geometry)
     scene_pipelines = pipelines(scene.cleaning, masked)
     _check_blocks(scene, common, scene_pipelines)
@@ -245,7 +248,8 @@ def _prepare(scene: Scene) -> Setup:
         if item.camera.n_det > MOST_DENSE:
             _check_torus(item.camera)
     radius = common.extent.radius_rad
-    elements = check_layer(scene, drawn.air, radius_rad=radius, scans=scans, lowest_rad=lowest)
+    motions = curved_motions(scene, common.pattern, scans, common.times)
+    elements = check_layer(scene, drawn.air, radius_rad=radius, scans=scans, lowest_rad=lowest, curved=motions)
     check_memory(needed_memory(scene, _sizes(setup, elements)))
     return setup
 
