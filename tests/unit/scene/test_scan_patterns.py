@@ -89,13 +89,14 @@ def test_every_pattern_has_its_list_of_keys():
     [
         (
             DAISY,
-            "a daisy of radius 4 arcmin, with a period of 7 s along a diameter, for 60 s in chunks of 15 s. Its axes are"
-            " along right ascension and declination.",
+            "a daisy of radius 4 arcmin, with a period of 7 s along a diameter, for 60 s in chunks of 15 s. Its axes"
+            " are along right ascension and declination.",
         ),
         (
             LISSAJOUS,
-            "a Lissajous figure of amplitudes 4 arcmin and 3 arcmin, with periods of 7 s and 5.1 s, for 60 s in chunks of"
-            " 15 s. Its axes are along right ascension and declination, turned by 30 deg, 5 deg more in each observation.",
+            "a Lissajous figure of amplitudes 4 arcmin and 3 arcmin, with periods of 7 s and 5.1 s, for 60 s in chunks"
+            " of 15 s. Its axes are along right ascension and declination, turned by 30 deg, 5 deg more in each"
+            " observation.",
         ),
         (
             PONG,
