@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from surveysim.report.html.scan_words import scan_words
+from surveysim.report.html.scan_words import _WORDS, scan_words
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.keys import scene_sections
 from surveysim.scene.scan_patterns import SCAN_SECTIONS, RasterScan
@@ -82,6 +82,10 @@ def test_values_of_a_key_are_judged_by_all_patterns_that_have_it():
 def test_every_pattern_has_its_list_of_keys():
     headings = [section.heading for section in scene_sections() if section.name == "scan"]
     assert headings == [f'`[scan]` `pattern = "{choice(item, "pattern")}"`' for item in SCAN_SECTIONS]
+
+
+def test_report_has_words_for_every_pattern():
+    assert list(_WORDS) == [choice(item, "pattern") for item in SCAN_SECTIONS]
 
 
 @pytest.mark.parametrize(
