@@ -37,6 +37,10 @@ class Pong(Figure):
         """Compute the extent of the box; rounded corners stay within it."""
         return self.box_extent_rad(*self.amplitudes_rad)
 
+    def half_width_rad(self) -> float:
+        """Return the smaller amplitude."""
+        return min(self.amplitudes_rad)
+
 
 def scene_pong(section: PongScan, centre: FieldCentre, site: Site | None) -> Pong:
     """Make the pong of a section [scan]."""
