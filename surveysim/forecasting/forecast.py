@@ -162,6 +162,8 @@ def why_no_forecast(setup: Setup) -> str | None:
     """Name a scan pattern, component, step of the response or cleaning without a closed form; None if all have one."""
     if setup.observing.pattern.name not in PATTERNS:
         return f"scan: found {setup.observing.pattern.name!r}, a pattern without a closed form"
+    if not setup.observing.scans.straight:
+        return "scan.turnarounds: found 'flagged', scans without a closed form"
     for item in present_components(setup.scene):
         if item.name not in CLOSED_FORMS:
             return f"{item.name}: found a section without a closed form"
