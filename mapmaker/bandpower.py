@@ -267,6 +267,7 @@ def score(
     edges_ell: np.ndarray,
     information: np.ndarray | None = None,
     correlation: np.ndarray | None = None,
+    block: np.ndarray | None = None,
 ) -> tuple[BandPower, ErrorBudget]:
     """Band power of a survey and its error from sign-flip realizations of the noise.
 
@@ -288,6 +289,9 @@ def score(
         `information_shares` of all observations made, 0 for those rejected; by default the weights, for equal data.
     correlation : (n_bin - 1,), optional
         Correlation between the noise of neighbouring bins (`mapmaker.spectrum.neighbour_correlation`).
+    block : optional
+        Block of each value of `information`, numbered from 0, where only blocks of observations have independent
+        weather.
 
     Returns
     -------
@@ -311,7 +315,7 @@ def score(
     )
     budget = ErrorBudget(
         noise=float(np.hypot(signs, common)),
-        weather=weather_error(observation_weights if information is None else information, common),
+        weather=weather_error(observation_weights if information is None else information, common, block=block),
         transfer_function=transfer_function_error(signal_psd_relative_error, weight, correlation),
     )
     return band_power(

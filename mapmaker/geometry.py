@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mapmaker.detector_places import array_homography, to_pixels
 from mapmaker.errors import OutOfRangeError
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.validation import MAX_PIXELS, argument_error, number, pixel_side, reals, whole
@@ -158,9 +159,8 @@ def sky_offsets(plane: FocalPlane, array_angle_rad: np.ndarray) -> tuple[np.ndar
 def pixel_indices(geometry: MapGeometry, streams: Timestreams) -> np.ndarray:
     """Flat pixel index of every sample.
 
-    The array angle of streams is the position angle at the boresight. Detectors are placed in the plane; its stretch
-    moves them by the square of the boresight's angle from the centre times their offset: 0.02 arcsec for a detector 4
-    arcmin out and a boresight 30 arcmin off, 2 arcmin for one 30 arcmin out and 15 degrees off.
+    The array angle of streams is the position angle at the boresight. Lines of sight of the detectors are exact at any
+    distance from the centre of the map.
 
     Parameters
     ----------
@@ -190,15 +190,13 @@ def boresight_pixels(
 ) -> np.ndarray:
     """Flat pixel index of every sample for a boresight in the tangent plane.
 
-    Detector offsets are added in the plane.
-
     Parameters
     ----------
     geometry
     xi_rad, eta_rad : (n_samp,)
         Boresight; samples where it is NaN, behind the plane, are off the map.
     plane_angle_rad : (n_samp,)
-        Angle of the array's y axis from the plane's north, eta: position angle at the boresight plus `north_angle`.
+        Position angle of the array's y axis at the boresight plus `north_angle`.
     plane
         Detector positions.
 
@@ -217,11 +215,19 @@ def boresight_pixels(
     xi_rad = reals("xi_rad", xi_rad, ("n_samp",), finite=False)
     eta_rad = reals("eta_rad", eta_rad, xi_rad.shape, finite=False)
     plane_angle_rad = reals("plane_angle_rad", plane_angle_rad, xi_rad.shape, finite=False)
-    scale = 1 / geometry.pixel_rad
-    column = geometry.n_x / 2 - xi_rad * scale
-    row = geometry.n_y / 2 + eta_rad * scale
-    cos, sin = np.cos(plane_angle_rad) * scale, np.sin(plane_angle_rad) * scale
-    return plane_pixels(column, row, cos, sin, plane.x_rad, plane.y_rad, geometry.n_x, geometry.n_y)
+    place = pixel_homography(geometry, xi_rad, eta_rad, plane_angle_rad, first=0.0)
+    return plane_pixels(place, plane.x_rad, plane.y_rad, geometry.n_x, geometry.n_y)
+
+
+def pixel_homography(
+    geometry: MapGeometry, xi_rad: np.ndarray, eta_rad: np.ndarray, plane_angle_rad: np.ndarray, *, first: float
+) -> np.ndarray:
+    """Homographies (8, n_samp) from offsets in the array to pixels, the outer edge of the map at `first`.
+
+    Other arguments are those of `boresight_pixels`.
+    """
+    place = array_homography(geometry.dec0_rad, xi_rad, eta_rad, plane_angle_rad)
+    return to_pixels(place, geometry.pixel_rad, first + geometry.n_x / 2, first + geometry.n_y / 2)
 
 
 def covering_geometry(ra0_rad: float, dec0_rad: float, pixel_rad: float, half_extent_rad: float) -> MapGeometry:

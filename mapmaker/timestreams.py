@@ -38,7 +38,7 @@ class FocalPlane:
     Attributes
     ----------
     x_rad, y_rad : (n_det,)
-        Offsets from the boresight.
+        Offsets from the boresight, in the plane that touches the sky there.
     fwhm_rad
         Full width at half maximum of the Gaussian beam.
     angle_rad : (n_det,), optional

@@ -185,16 +185,36 @@ def information_shares(
     return 2 * exponent * of_all / of_all.sum() - (power / power.sum(axis=0)) @ bin_weight[bins]
 
 
-def ratio_error(information: np.ndarray, expected: np.ndarray) -> float:
+def block_sums(terms: np.ndarray, block: np.ndarray | None) -> np.ndarray:
+    """Sums (n_block,) over blocks of observations of the deviations of terms (n_obs,) from their mean.
+
+    Parameters
+    ----------
+    terms : (n_obs,)
+    block : (n_obs,), optional
+        Block of each observation, numbered from 0. By default each is one of its own, and the terms are returned.
+    """
+    return terms if block is None else np.bincount(block, terms - terms.mean())
+
+
+def draws(n_obs: int, block: np.ndarray | None) -> int:
+    """Return the number of independent draws: the blocks, or without them the observations."""
+    return n_obs if block is None else int(block[-1]) + 1
+
+
+def ratio_error(information: np.ndarray, expected: np.ndarray, block: np.ndarray | None = None) -> float:
     """Relative error of `sum(information) / sum(expected)` over observations that are independent draws.
 
     To first order, each draw changes the ratio r by `(x_i - r y_i) / sum y`. The relative variance is
-    `n / (n - 1) sum (x_i - r y_i)^2 / (sum x)^2`: zero where the two are proportional.
+    `n / (n - 1) sum (x_i - r y_i)^2 / (sum x)^2`: zero where the two are proportional. Of observations whose blocks are
+    independent the sums over blocks are the draws; the error is NaN for a single one.
 
     Parameters
     ----------
     information, expected : (n_obs,)
         x and y.
+    block : (n_obs,), optional
+        Block of each observation, numbered from 0; by default each is one of its own.
 
     Raises
     ------
@@ -204,16 +224,19 @@ def ratio_error(information: np.ndarray, expected: np.ndarray) -> float:
     if expected.size < 2 or not expected.sum() > 0:
         raise InsufficientDataError(f"expected at least 2 observations of a positive sum, got {expected}")
     ratio = information.sum() / expected.sum()
-    return float(np.std(information - ratio * expected, ddof=1) * np.sqrt(expected.size) / information.sum())
+    off = block_sums(information - ratio * expected, block)
+    if off.size < 2:
+        return float("nan")
+    return float(np.std(off, ddof=1) * np.sqrt(off.size) / information.sum())
 
 
-def weather_error(information: np.ndarray, common_noise: float = 0.0) -> float:
+def weather_error(information: np.ndarray, common_noise: float = 0.0, *, block: np.ndarray | None = None) -> float:
     """Relative error of sigma from the weather of its observations, estimated from their scatter.
 
     A sum of n independent draws has the relative variance `CV^2 / n`. The variance of its measurement noise, which is
     part of the error of sigma already, is subtracted. The deviation of a mean over its estimated error follows
     Student's t, hence `student_factor`. Few observations rarely include the best nights: below `FEWEST` the error is
-    NaN. A long tail of weights makes it too small above, too.
+    NaN. A long tail of weights makes it too small above, too. Of observations in blocks, the blocks count.
 
     Parameters
     ----------
@@ -221,17 +244,18 @@ def weather_error(information: np.ndarray, common_noise: float = 0.0) -> float:
         Contribution of each observation (`information_shares`).
     common_noise
         Common part of `noise_error_parts`.
+    block : (n_obs,), optional
+        Block of each observation, numbered from 0; by default each is one of its own.
 
     Raises
     ------
     ValueError
         For fewer than 2 observations.
     """
-    n_obs = information.size
-    scatter = ratio_error(information, np.ones(n_obs))
-    if n_obs < FEWEST:
+    scatter, n_draw = ratio_error(information, np.ones(information.size), block), draws(information.size, block)
+    if n_draw < FEWEST:
         return float("nan")
-    return subtract_in_quadrature(scatter, common_noise) * student_factor(n_obs)
+    return subtract_in_quadrature(scatter, common_noise) * student_factor(n_draw)
 
 
 def student_factor(n_draw: int) -> float:

@@ -212,13 +212,38 @@ def combine_columns(columns, start, normals):
     return modes
 
 
-def plane_pixels(column, row, cos, sin, x_rad, y_rad, n_x, n_y):
+def line_of_sight(dec0, xi, eta, plane_angle, x, y):
+    """Place (xi, eta) of a detector in the plane, by vectors in the equatorial frame of a centre at RA 0."""
+    east, north = np.array([0.0, 1.0, 0.0]), np.array([-np.sin(dec0), 0.0, np.cos(dec0)])
+    centre = np.array([np.cos(dec0), 0.0, np.sin(dec0)])
+    boresight = centre + xi * east + eta * north
+    boresight = boresight / np.linalg.norm(boresight)
+    # North and east of the sky at the boresight; the meridian's angle in the plane by a small step along it.
+    pole = np.array([0.0, 0.0, 1.0])
+    sky_east = np.cross(pole, boresight) / np.linalg.norm(np.cross(pole, boresight))
+    sky_north = np.cross(boresight, sky_east)
+    step = boresight + 1e-7 * sky_north
+    step = step / (step @ centre)
+    angle = plane_angle - np.arctan2(step @ east - xi, step @ north - eta)
+    y_axis = np.cos(angle) * sky_north + np.sin(angle) * sky_east
+    x_axis = np.sin(angle) * sky_north - np.cos(angle) * sky_east
+    seen = boresight + x * x_axis + y * y_axis
+    return seen @ east / (seen @ centre), seen @ north / (seen @ centre)
+
+
+def detector_place(place, x, y):
+    """Column and row of a detector in one sample: the homography as a matrix."""
+    c0, cx, cy, r0, rx, ry, wx, wy = place
+    column, row, depth = np.array([[cx, cy, c0], [rx, ry, r0], [wx, wy, 1.0]]) @ [x, y, 1.0]
+    return (column / depth, row / depth) if depth > 0 else (-np.inf, -np.inf)
+
+
+def plane_pixels(place, x_rad, y_rad, n_x, n_y):
     """The pixel that holds each sample, by rounding down; -1 off the map."""
-    index = np.full((len(x_rad), len(column)), -1)
+    index = np.full((len(x_rad), place.shape[1]), -1)
     for d in range(len(x_rad)):
-        for n in range(len(column)):
-            c = np.floor(column[n] + x_rad[d] * cos[n] - y_rad[d] * sin[n])
-            r = np.floor(row[n] + x_rad[d] * sin[n] + y_rad[d] * cos[n])
+        for n in range(place.shape[1]):
+            c, r = np.floor(detector_place(place[:, n], x_rad[d], y_rad[d]))
             if c in range(n_x) and r in range(n_y):
                 index[d, n] = r * n_x + c
     return index
@@ -235,13 +260,12 @@ def bin_samples(data, index, bounds, kept, n_pixel):
     return np.array([data[s].sum(dtype=float) for s in seen]), np.array([s.sum() for s in seen])
 
 
-def add_sky(data, sky, column, row, cos, sin, x_rad, y_rad, gain):
+def add_sky(data, sky, place, x_rad, y_rad, gain):
     """Bilinear look-up of the sky by the area that each of four pixels has in common with a shifted one."""
     n_y, n_x = sky.shape
     for d in range(data.shape[0]):
         for n in range(data.shape[1]):
-            c = column[n] + x_rad[d] * cos[n] - y_rad[d] * sin[n]
-            r = row[n] + x_rad[d] * sin[n] + y_rad[d] * cos[n]
+            c, r = detector_place(place[:, n], x_rad[d], y_rad[d])
             if not (0 <= c < n_x - 1 and 0 <= r < n_y - 1):
                 continue
             for i in range(n_y):

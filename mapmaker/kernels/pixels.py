@@ -4,20 +4,19 @@ import numpy as np
 
 from mapmaker.kernels.compiled import njit
 
-# Samples of a detector whose places are computed before the look-up: loops without look-ups are vector instructions.
+# Samples of a detector whose places are computed together: these stay in the cache, and loops without look-ups are
+# vector instructions.
 _AT_ONCE = 256
 
 
-@njit(cache=True, nogil=True)
-def plane_pixels(column, row, cos, sin, x_rad, y_rad, n_x, n_y):
+@njit(cache=True, nogil=True, error_model="numpy")
+def plane_pixels(place, x_rad, y_rad, n_x, n_y):
     """Flat pixel index of every sample; -1 off the map.
 
     Parameters
     ----------
-    column, row : (n_samp,)
-        Boresight in pixels.
-    cos, sin : (n_samp,)
-        Cosine and sine of the array angle, over the pixel size.
+    place : (8, n_samp)
+        Homographies from offsets in the array to columns and rows (`mapmaker.detector_places`).
     x_rad, y_rad : (n_det,)
         Detectors in the array frame.
     n_x, n_y
@@ -27,15 +26,20 @@ def plane_pixels(column, row, cos, sin, x_rad, y_rad, n_x, n_y):
     (n_det, n_samp) array
         int32.
     """
-    n_det, n_samp = x_rad.size, column.size
+    n_det, n_samp = x_rad.size, place.shape[1]
     index = np.empty((n_det, n_samp), np.int32)
-    for d in range(n_det):
-        x, y = x_rad[d], y_rad[d]
-        for n in range(n_samp):
-            c = column[n] + x * cos[n] - y * sin[n]
-            r = row[n] + x * sin[n] + y * cos[n]
-            inside = (c >= 0.0) & (r >= 0.0) & (c < n_x) & (r < n_y)
-            index[d, n] = np.int32(r) * n_x + np.int32(c) if inside else -1
+    for first in range(0, n_samp, _AT_ONCE):
+        part = slice(first, min(first + _AT_ONCE, n_samp))
+        c0, cx, cy, r0 = place[0, part], place[1, part], place[2, part], place[3, part]
+        rx, ry, wx, wy = place[4, part], place[5, part], place[6, part], place[7, part]
+        for d in range(n_det):
+            x, y, found = x_rad[d], y_rad[d], index[d, part]
+            for n in range(found.size):
+                w = 1.0 / (1.0 + x * wx[n] + y * wy[n])
+                c = (c0[n] + x * cx[n] + y * cy[n]) * w
+                r = (r0[n] + x * rx[n] + y * ry[n]) * w
+                inside = (w > 0.0) & (c >= 0.0) & (r >= 0.0) & (c < n_x) & (r < n_y)
+                found[n] = np.int32(r) * n_x + np.int32(c) if inside else -1
     return index
 
 
@@ -77,7 +81,7 @@ def count_samples(index, hits):
 
 
 @njit(cache=True, nogil=True)
-def add_sky(data, sky, column, row, cos, sin, x_rad, y_rad, gain):
+def add_sky(data, sky, place, x_rad, y_rad, gain):
     """Add the bilinear look-up of a sky along every detector's track, in place.
 
     Parameters
@@ -85,39 +89,41 @@ def add_sky(data, sky, column, row, cos, sin, x_rad, y_rad, gain):
     data : (n_det, n_samp)
         Changed in place; nothing is added off the sky.
     sky : (n_y, n_x)
-    column, row : (n_samp,)
-        Boresight in sky pixels, counted from pixel centres.
-    cos, sin, x_rad, y_rad
+    place : (8, n_samp)
+        Homographies from offsets in the array to sky pixels, counted from pixel centres.
+    x_rad, y_rad
         As in `plane_pixels`.
     gain : (n_det,)
     """
     n_y, n_x = sky.shape
     values, next_row = sky.reshape(sky.size), np.uint64(n_x)
-    place, across = np.empty(_AT_ONCE, np.int32), np.empty((3, _AT_ONCE), sky.dtype)
-    for d in range(data.shape[0]):
-        for first in range(0, data.shape[1], _AT_ONCE):
-            part = slice(first, min(first + _AT_ONCE, data.shape[1]))
+    below, across = np.empty(_AT_ONCE, np.int32), np.empty((3, _AT_ONCE), sky.dtype)
+    for first in range(0, data.shape[1], _AT_ONCE):
+        part = slice(first, min(first + _AT_ONCE, data.shape[1]))
+        for d in range(data.shape[0]):
             samples = data[d, part]
-            c, r, co, si = column[part], row[part], cos[part], sin[part]
-            _corners(c, r, co, si, x_rad[d], y_rad[d], gain[d], n_x, n_y, place, across)
+            _corners(place[:, part], x_rad[d], y_rad[d], gain[d], n_x, n_y, below, across)
             for n in range(samples.size):
                 # Unsigned, which avoids numba's check for negative indices.
-                p, u, v, g = np.uint64(place[n]), across[0, n], across[1, n], across[2, n]
+                p, u, v, g = np.uint64(below[n]), across[0, n], across[1, n], across[2, n]
                 near, far = values[p], values[p + next_row]
                 low = near + u * (values[p + np.uint64(1)] - near)
                 high = far + u * (values[p + next_row + np.uint64(1)] - far)
                 samples[n] += g * (low + v * (high - low))
 
 
-@njit(forceinline=True)
-def _corners(column, row, cos, sin, x, y, gain, n_x, n_y, place, across):
+@njit(forceinline=True, error_model="numpy")
+def _corners(place, x, y, gain, n_x, n_y, below, across):
     """Write the flat pixel below each sample, its distance from that along both axes, and its gain: 0 off the sky."""
-    for n in range(column.size):
-        c = column[n] + x * cos[n] - y * sin[n]
-        r = row[n] + x * sin[n] + y * cos[n]
-        inside = (c >= 0.0) & (r >= 0.0) & (c < n_x - 1) & (r < n_y - 1)
+    c0, cx, cy, r0 = place[0], place[1], place[2], place[3]
+    rx, ry, wx, wy = place[4], place[5], place[6], place[7]
+    for n in range(c0.size):
+        w = 1.0 / (1.0 + x * wx[n] + y * wy[n])
+        c = (c0[n] + x * cx[n] + y * cy[n]) * w
+        r = (r0[n] + x * rx[n] + y * ry[n]) * w
+        inside = (w > 0.0) & (c >= 0.0) & (r >= 0.0) & (c < n_x - 1) & (r < n_y - 1)
         c, r = c if inside else 0.0, r if inside else 0.0
         j, i = np.int32(c), np.int32(r)
-        place[n] = i * np.int32(n_x) + j
+        below[n] = i * np.int32(n_x) + j
         across[0, n], across[1, n] = c - j, r - i
         across[2, n] = gain if inside else 0.0

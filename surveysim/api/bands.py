@@ -69,8 +69,8 @@ def run_bands(
                     limits=StoppingCriteria(target_error, budget, target_metric),
                     force=force,
                 )
-            if (strips := found[name].setup.air.strips) is not None:
-                strips.forget()  # those of one band at a time
+            for layer in found[name].setup.air.layers:
+                layer.strips.forget()  # those of one band at a time
         return MultiBandResult(scenes, found, perf_counter() - start, engine.kind)
 
     if out is None:

@@ -312,7 +312,11 @@ def add_along_tracks(
     deviates: NormalDeviates,
     trends: "ScanTrends | None" = None,
 ) -> None:
-    """Add the emission of the moving layer along given `tracks` of the scans; else as `add_atmosphere`."""
+    """Add the emission of the moving layer along given `tracks` of the scans; else as `add_atmosphere`.
+
+    An amplitude (n_scan, n) of each sample is that of a realization that others join: it has a mean of 0 over the strip
+    of each scan.
+    """
     from surveysim.atmosphere import screen_kernels
 
     add_layer = getattr(screen_kernels, LOOK_UPS[strips.interpolation])
@@ -324,7 +328,19 @@ def add_along_tracks(
         if trends is not None:
             trends.impose(scans, layers)
         for scan, layer in zip(scans, layers, strict=True):
-            add_layer(data_mk, *scan_bounds[scan], layer, x[scan], y[scan], steps[scan], float(amplitude_mk[scan]))
+            track, (start, stop) = (x[scan], y[scan], steps[scan]), scan_bounds[scan]
+            if amplitude_mk.ndim == 1:
+                add_layer(data_mk, start, stop, layer, *track, float(amplitude_mk[scan]))
+                continue
+            seen = np.zeros((len(data_mk), stop - start), data_mk.dtype)
+            add_layer(seen, 0, stop - start, centred(layer, tracks.length_rad[scan] / step), *track, 1.0)
+            data_mk[:, start:stop] += seen * amplitude_mk[scan].astype(seen.dtype)
+
+
+def centred(layer: np.ndarray, end: float) -> np.ndarray:
+    """Subtract the mean over the points of a strip (n_lane, n_x) up to a column `end` from it, in place."""
+    layer -= layer[:, : ceil(end) + 1].mean(dtype=float)
+    return layer
 
 
 def _alike(strips: StripCache, length_rad: np.ndarray) -> Iterator[tuple[Strip, list[int], list[int]]]:

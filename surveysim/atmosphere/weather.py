@@ -2,13 +2,14 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from surveysim.atmosphere.dated_weather import DatedWeather
 from surveysim.atmosphere.opacity import BandOpacity, slant_factor
 from surveysim.atmosphere.water import Season, driest_mm, pwv_quantile, wettest_mm
 from surveysim.runtime.errors import InputError, OutOfRangeError, SceneError
@@ -89,6 +90,17 @@ class Draws(Protocol):
         ...
 
 
+class _Scores(NamedTuple):
+    """Draws of an observation: standard normal levels of B2 (or water fluctuation) and wind speed, a wind direction
+    [rad], and a probability of the water.
+    """
+
+    level: float
+    speed: float
+    angle: float
+    share: float
+
+
 @lru_cache(maxsize=8)
 def site_water(atmosphere: Atmosphere, place: Place, band: Passband) -> Water:
     """Response of a band to the water vapour of a scene's site.
@@ -129,20 +141,31 @@ def site_water(atmosphere: Atmosphere, place: Place, band: Passband) -> Water:
 
 @lru_cache(maxsize=10_000)  # checks, forecasts and points of a sweep have weather in common
 def survey_weather(
-    atmosphere: Atmosphere, water: Water | None, seed: int, observation: int, *, when: Season | None
+    atmosphere: Atmosphere, water: Water | None, seed: int, observation: int, *, dated: DatedWeather | None
 ) -> Weather:
     """Draw the weather of one observation of a survey; raises as `draw_weather`."""
-    return draw_weather(atmosphere, water, generator(seed, RandomPurpose.WEATHER, observation), when)
+    if dated is None or dated.scores is None:
+        rng = generator(seed, RandomPurpose.WEATHER, observation)
+        return draw_weather(atmosphere, water, rng, *(dated.of(observation) if dated else ()))
+    level, speed, share, angle = dated.scores[observation].tolist()
+    return _drawn(atmosphere, water, _Scores(level, speed, angle, share), *dated.of(observation))
 
 
-def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: Draws, when: Season | None = None) -> Weather:
+def draw_weather(
+    atmosphere: Atmosphere,
+    water: Water | None,
+    rng: Draws,
+    when: Season | None = None,
+    known: Mapping[str, float] | None = None,
+) -> Weather:
     """Draw the weather of one observation.
 
     Wind speeds are log-normal about their median, directions uniform. Without a site, B2 is drawn from its quantiles.
     With a site it is (delta C / C)^2 (C d tau / dC)^2 B_atm^2, with PWV and fractional fluctuation drawn independently
     (paper, section 3.3); if the scene has quantiles of B2 too, they replace the resulting distribution, and each draw
     keeps its rank. Water by month is that of the season `when`, or of the whole year. With `wind_b2_exponent` the
-    median wind scales with that power of B2 over its median.
+    median wind scales with that power of B2 over its median. Values that are `known`, by the columns of
+    `DatedWeather.known`, replace draws.
 
     Raises
     ------
@@ -151,12 +174,29 @@ def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: Draws, when: 
     """
     level, speed = rng.standard_normal(2)
     angle = rng.uniform(0, 2 * math.pi)
-    share = rng.random()
-    pwv = math.nan if water is None else float(pwv_quantile(atmosphere, share, when))
-    return _weather(atmosphere, water, level=level, speed=speed, angle=angle, pwv_mm=pwv)
+    return _drawn(atmosphere, water, _Scores(level, speed, angle, rng.random()), when, known or {})
 
 
-def fastest_wind(atmosphere: Atmosphere, water: Water | None, n_observations: int) -> float:
+def _drawn(
+    atmosphere: Atmosphere, water: Water | None, scores: _Scores, when: Season | None, known: Mapping[str, float]
+) -> Weather:
+    pwv = math.nan if water is None else known.get("pwv", float(pwv_quantile(atmosphere, scores.share, when)))
+    angle = known.get("wind_direction", scores.angle)
+    return _weather(atmosphere, water, level=scores.level, speed=scores.speed, angle=angle, pwv_mm=pwv, known=known)
+
+
+def survey_pwv_quantile(
+    atmosphere: Atmosphere, dated: DatedWeather | None, probability: float | np.ndarray
+) -> np.ndarray:
+    """PWV [mm] below which the given probability lies: of the observations where it is known, else `pwv_quantile`."""
+    if dated is not None and "pwv" in dated.known:
+        return np.quantile(dated.known["pwv"], probability)
+    return pwv_quantile(atmosphere, probability)
+
+
+def fastest_wind(
+    atmosphere: Atmosphere, water: Water | None, n_observations: int, *, dated: DatedWeather | None = None
+) -> float:
     """Wind speed that no observation of a survey exceeds, with a probability of all but 1e-6 [rad/s].
 
     It is infinite for a negative power of a B2 that may be 0.
@@ -166,29 +206,54 @@ def fastest_wind(atmosphere: Atmosphere, water: Water | None, n_observations: in
     ValueError
         As `draw_weather`.
     """
+    if dated is not None and "wind_speed" in dated.known:
+        return float(dated.known["wind_speed"].max())
     if atmosphere.wind_b2_exponent < 0 and water is None and min(atmosphere.b2) == 0:
         return math.inf
     from scipy.special import ndtri
 
     beyond = -float(ndtri(1e-6 / (2 * n_observations)))
     extremes = [
-        _weather(atmosphere, water, level=level, speed=beyond, angle=0.0, pwv_mm=pwv_mm)
+        _weather(atmosphere, water, level=level, speed=beyond, angle=0.0, pwv_mm=pwv_mm, known={})
         for level in (-beyond, beyond)
         for pwv_mm in ((driest_mm(atmosphere), wettest_mm(atmosphere)) if water else (math.nan,))
     ]
     return max(weather.wind_speed_rad_s for weather in extremes)
 
 
+def _b2(
+    atmosphere: Atmosphere, water: Water | None, *, level: float, pwv_mm: float, known: Mapping[str, float]
+) -> float:
+    """B2 at a standard normal level of B2 (or fluctuation) and a column of water, or from a known value."""
+    if "b2" in known:
+        return known["b2"]
+    if water is not None:
+        fluctuation = known.get("water_fluctuation") or log_quantile(
+            atmosphere.water_fluctuation_probabilities, atmosphere.water_fluctuation, level
+        )
+        log_b2 = math.log(water.response(pwv_mm)) + math.log(fluctuation)
+        if "water_fluctuation" in known or ("pwv" in known and not atmosphere.b2):
+            return math.exp(min(log_b2, LARGEST_LOG))  # beyond the scene's distributions, too
+        level = np.interp(log_b2, water.log_b2, water.level)
+    return float(b2_quantile(atmosphere, water, level))
+
+
 def _weather(
-    atmosphere: Atmosphere, water: Water | None, *, level: float, speed: float, angle: float, pwv_mm: float
+    atmosphere: Atmosphere,
+    water: Water | None,
+    *,
+    level: float,
+    speed: float,
+    angle: float,
+    pwv_mm: float,
+    known: Mapping[str, float],
 ) -> Weather:
     """Weather at standard normal levels of B2 (or fluctuation) and wind speed, a wind angle and a column of water."""
-    if water is not None:
-        fluctuation = log_quantile(atmosphere.water_fluctuation_probabilities, atmosphere.water_fluctuation, level)
-        level = np.interp(math.log(water.response(pwv_mm)) + math.log(fluctuation), water.log_b2, water.level)
-    b2 = float(b2_quantile(atmosphere, water, level))
+    b2 = _b2(atmosphere, water, level=level, pwv_mm=pwv_mm, known=known)
     wind = atmosphere.wind_median_rad_s * math.exp(atmosphere.wind_log_scatter * speed)
-    if atmosphere.wind_b2_exponent and b2 > 0:
+    if "wind_speed" in known:
+        wind = known["wind_speed"]
+    elif atmosphere.wind_b2_exponent and b2 > 0:
         if not (median := float(b2_quantile(atmosphere, water, 0.0))) > 0:
             raise SceneError("atmosphere.wind_b2_exponent: found with a median B2 of 0; one above 0 is expected")
         wind *= math.exp(min(atmosphere.wind_b2_exponent * (math.log(b2) - math.log(median)), LARGEST_LOG))

@@ -14,6 +14,7 @@ import numpy as np
 from mapmaker.uncertainty import (
     FEWEST,
     ErrorBudget,
+    block_sums,
     noise_error_parts,
     student_factor,
     subtract_in_quadrature,
@@ -114,11 +115,13 @@ def _budgets(
         return (ErrorBudget(0.0, 0.0, skies),) * 2
     of_bins = {"n_modes": plain.map.n_modes, "correlation": plain.map.correlation}
     signs, common = noise_error_parts(item.noise_psds, noise, item.weights[item.weights > 0], **of_bins)
-    realizations, exponent, n_obs = float(np.hypot(signs, common)), float(noise.sum()), len(item.weights)
-    off = item.shares(noise, exponent) - item.expected_shares(noise, exponent)
-    weather = subtract_in_quadrature(float(np.std(off, ddof=1) * n_obs**0.5), common) * student_factor(n_obs)
+    realizations, exponent = float(np.hypot(signs, common)), float(noise.sum())
+    off = block_sums(item.shares(noise, exponent) - item.expected_shares(noise, exponent), item.block)
+    n_draw = len(off)
+    scatter = float(np.std(off, ddof=1) * n_draw**0.5) if n_draw > 1 else np.nan
+    weather = subtract_in_quadrature(scatter, common) * student_factor(n_draw)
     if item.control is None:
-        return (ErrorBudget(realizations, weather if n_obs >= FEWEST else np.nan, skies),) * 2
+        return (ErrorBudget(realizations, weather if n_draw >= FEWEST else np.nan, skies),) * 2
     drawn = float(np.hypot(weather, item.control.sampling * abs(exponent)))
     quoted = ErrorBudget(realizations, weather, skies, item.control.population * abs(exponent))
     return quoted, ErrorBudget(realizations, drawn, skies)

@@ -124,7 +124,11 @@ def residual_by_track(setup: Setup, cleaning: str, sine: float) -> "CubicSpline"
     """
     from scipy.interpolate import CubicSpline
 
-    screen, plane, bins = at_elevation(setup.air.strips.screen, sine), setup.camera.focal_plane, camera_pairs(setup)
+    screen, plane, bins = (
+        at_elevation(setup.air.layers[0].strips.screen, sine),
+        setup.camera.focal_plane,
+        camera_pairs(setup),
+    )
     basis = template_basis(plane, PAIR_CLEANINGS[cleaning])
     project = np.eye(setup.camera.n_det) - basis.T @ basis
     apart = np.hypot(*(np.subtract.outer(axis, axis) for axis in (plane.x_rad, plane.y_rad)))

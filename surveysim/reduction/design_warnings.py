@@ -8,7 +8,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from surveysim.atmosphere.water import pwv_quantile
+from mapmaker.uncertainty import FEWEST, draws
+from surveysim.atmosphere.weather import survey_pwv_quantile
 from surveysim.reduction.setup import Setup
 from surveysim.scene.detector_table import KEY
 from surveysim.scene.scan_patterns import RasterScan
@@ -134,7 +135,7 @@ def _conversions(setup: Setup) -> str:
     if scene.photon is None or scene.photon.psd_mk2_hz is not None:
         return ""
     water, elevation_rad = setup.air.water, float(setup.observing.angles.elevation_rad.mean())
-    pwv_mm = math.nan if water is None else float(pwv_quantile(scene.atmosphere, 0.5))
+    pwv_mm = math.nan if water is None else float(survey_pwv_quantile(scene.atmosphere, setup.air.dated, 0.5))
     chain = scene_chain(scene, water.opacity if water else None, pwv_mm, elevation_rad)
     whole, band = chain.w_per_k / chain.w_per_k_cmb, scene.instrument.cmb_per_rj
     if abs(whole / band - 1) <= MOST_APART:
@@ -165,6 +166,17 @@ def _arcmin(angle: float) -> str:
     return f"{math.degrees(angle) * 60:.3g} arcmin"
 
 
+def _few_spells(setup: Setup) -> str:
+    """Warn of drifting weather with too few independent spells for an error from their scatter."""
+    block, scene = setup.air.block(setup.scene.observations), setup.scene
+    if block is None or scene.score is None or (found := draws(len(block), block)) >= FEWEST:
+        return ""
+    return (
+        f"atmosphere.correlation_time: with {scene.atmosphere.correlation_time_s / 3600:.3g} h the observations have"
+        f" {found} independent spells of weather. The error of sigma(A) needs {FEWEST}, or 4 where there is a forecast."
+    )
+
+
 CHECKS: tuple[Callable[[Setup], str], ...] = (
     _sampling,
     _diffraction,
@@ -176,4 +188,5 @@ CHECKS: tuple[Callable[[Setup], str], ...] = (
     _unused_efficiency,
     _conversions,
     _lost_samples,
+    _few_spells,
 )

@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from mapmaker.wind import HIGHEST_HZ
-from surveysim.atmosphere.water import Season
+from surveysim.atmosphere.dated_weather import DatedWeather
 from surveysim.atmosphere.weather import Water, fastest_wind, survey_weather
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.memory import machine_bytes
@@ -38,40 +38,48 @@ def check_layer(
     scans: Scans,
     lowest_rad: float,
 ) -> int:
-    """Check the weather and the longest strip of the turbulent layer in a run.
+    """Check the weather and the longest strip of each turbulent layer in a run.
 
     The weather of up to `MOST_DRAWN` observations is drawn. For larger surveys it is an extreme that hardly any survey
-    of their length exceeds. The strip is as long as the longest track at the lowest elevation.
+    of their length exceeds. A strip is as long as the longest track at the lowest elevation.
 
     Returns
     -------
     int
-        Number of matrix elements of the strip; 0 without a layer.
+        Number of matrix elements of the strips; 0 without a layer.
 
     Raises
     ------
     SceneError
         For weather or a strip that cannot be drawn.
     """
-    if air.strips is None:
+    if not air.layers:
         return 0
     drawn = scene.observations <= MOST_DRAWN
     if drawn:
-        when = air.seasons or (None,) * scene.observations
-        wind = _drawn_wind(scene.atmosphere, air.water, scene.seed, when)
+        wind = _drawn_wind(scene.atmosphere, air.water, scene.seed, scene.observations, dated=air.dated)
     else:
-        wind = fastest_wind(scene.atmosphere, air.water, scene.observations)
-    return _check_strip(air.strips, wind, radius_rad, scans, lowest_rad)
+        wind = fastest_wind(scene.atmosphere, air.water, scene.observations, dated=air.dated)
+    return sum(
+        _check_strip(
+            layer.strips, wind * layer.fastest_factor, radius_rad=radius_rad, scans=scans, lowest_rad=lowest_rad
+        )
+        for layer in air.layers
+    )
 
 
 @lru_cache(maxsize=2)  # points of a sweep have weather in common
-def _drawn_wind(atmosphere: Atmosphere, water: Water | None, seed: int, when: tuple[Season | None, ...]) -> float:
+def _drawn_wind(
+    atmosphere: Atmosphere, water: Water | None, seed: int, n_obs: int, *, dated: DatedWeather | None
+) -> float:
     """Draw the fastest wind [rad/s] of all observations; raises an error for weather that is not finite."""
-    drawn = (survey_weather(atmosphere, water, seed, number, when=season) for number, season in enumerate(when))
+    drawn = (survey_weather(atmosphere, water, seed, number, dated=dated) for number in range(n_obs))
     return max(weather.wind_speed_rad_s for weather in drawn)
 
 
-def _check_strip(strips: "SlantStrips", wind_rad_s: float, radius_rad: float, scans: Scans, lowest_rad: float) -> int:
+def _check_strip(
+    strips: "SlantStrips", wind_rad_s: float, *, radius_rad: float, scans: Scans, lowest_rad: float
+) -> int:
     from surveysim.atmosphere.strip_limits import check_strip
 
     sine = math.sin(lowest_rad)

@@ -4,13 +4,13 @@ import math
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.geometry import MapGeometry, covering_geometry
-from surveysim.atmosphere.water import Season, seasons
+from surveysim.atmosphere.dated_weather import DatedWeather
+from surveysim.atmosphere.layers import Layer
 from surveysim.atmosphere.weather import Water, site_water
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline, pipelines
@@ -34,9 +34,10 @@ from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory
 from surveysim.reduction.response_checks import check_response
 from surveysim.reduction.scored_region import padded_side, patch_side
 from surveysim.reduction.signal_sims import carriers
-from surveysim.runtime.errors import InputError, SceneError
+from surveysim.runtime.errors import InputError, OutOfRangeError, SceneError
 from surveysim.scene.bands import errors_of
 from surveysim.scene.scene import Scene
+from surveysim.scene.weather_table import KEY as TABLE_KEY
 from surveysim.telescope.diffraction import with_beam
 from surveysim.telescope.focal_plane import Camera, CameraExtent, camera, camera_extent, mask_by_separation
 from surveysim.telescope.noise_levels import stop_emits
@@ -45,11 +46,11 @@ from surveysim.telescope.pointing import Schedule
 from surveysim.telescope.pointing_errors import true_focal_plane
 from surveysim.telescope.responsivity import assumed_responsivity, camera_responsivity
 from surveysim.telescope.scan_pattern import ScanPattern, scan_pattern
-from surveysim.telescope.scans import Scans, mid_times, samples_per_scan
+from surveysim.telescope.scans import Scans, duration_s, mid_times, samples_per_scan
 from surveysim.telescope.table_checks import check_table
 from surveysim.telescope.time_constants import assumed_time_constants, true_time_constants
 from surveysim.timestreams.scan_blocks import Block, scan_blocks
-from surveysim.timestreams.shared_parts import layer_strips
+from surveysim.timestreams.shared_parts import air_layers
 from surveysim.timestreams.sharing import check_groups, readout_groups
 from surveysim.timestreams.simulation import (
     AirSetup,
@@ -60,14 +61,12 @@ from surveysim.timestreams.simulation import (
     observing_schedule,
     observing_site,
 )
+from surveysim.timestreams.survey_weather import survey_dates
 
 SAMPLE_S = 8e-8  # of a detector-sample, about
 SIGNAL_SIMS = 1.2  # time of the signal simulations of an observation, about, in that of its other work
 QUICK_S = 2.0
 TYPICAL_VARIANCE = 0.04  # relative variance of sigma from one observation, about, as of a square degree
-
-if TYPE_CHECKING:
-    from surveysim.atmosphere.screen_simulation import SlantStrips
 
 
 @dataclass(frozen=True)
@@ -120,8 +119,8 @@ class _Common:
     geometry: MapGeometry
     sky_geometry: MapGeometry
     times: Schedule | None
-    seasons: tuple[Season, ...] | None
-    strips: "SlantStrips | None"
+    dated: DatedWeather | None
+    layers: tuple[Layer, ...]
 
 
 def _common(scene: Scene) -> _Common:
@@ -134,7 +133,7 @@ def _common(scene: Scene) -> _Common:
     extent = camera_extent([cameras[name] for name in sorted(cameras)])  # to the last bit the same in all bands
     pattern = scan_pattern(scene.scan)
     scans = pattern.scans(scene.scan)
-    reach = pattern.extent_rad(scans) + scans.dither_rad / 2 + extent.radius_rad
+    reach = _reach(pattern.extent_rad(scans) + scans.dither_rad / 2, extent.radius_rad)
     for name, item in bands.items():
         with errors_of(item, scene):
             check_size(item, cameras[name].n_det, reach)
@@ -151,9 +150,15 @@ def _common(scene: Scene) -> _Common:
         # Half a map pixel holds the beam's multipoles with room to spare.
         _geometry(scene, reach, scene.map.pixel_rad / 2),
         times,
-        _seasons(scene, times),
-        layer_strips(scene, extent),
+        survey_dates(scene, times, duration_s=duration_s(scans)),
+        air_layers(scene, extent),
     )
+
+
+def _reach(extent_rad: float, radius_rad: float) -> float:
+    """Bound of a detector's offsets in the tangent plane [rad], for boresights up to an extent along both axes."""
+    depth = 1 - math.sqrt(2) * extent_rad * radius_rad
+    return (extent_rad + math.sqrt(1 + 2 * extent_rad**2) * radius_rad) / depth if depth > 0 else math.inf
 
 
 def _simulation(scene: Scene, common: _Common) -> Simulation:
@@ -182,7 +187,7 @@ def _simulation(scene: Scene, common: _Common) -> Simulation:
         scene=scene,
         camera=cam_setup,
         observing=ObservingSetup(scene, common.pattern, common.scans, common.blocks),
-        air=AirSetup(common.strips, _water(scene), common.seasons, all_bands),
+        air=AirSetup(common.layers, _water(scene, common.dated), common.dated, all_bands),
         sky=SkySetup(scene, common.sky_geometry, tuple(cam_setup.beams.fwhm_rad.tolist())),
     )
 
@@ -318,16 +323,16 @@ def _lowest(scene: Scene, cam: Camera, times: Schedule | None, mid_time_s: np.nd
     return check_motion(scene, cam, observing_site(scene), times, mid_time_s)
 
 
-def _water(scene: Scene) -> Water | None:
-    place = scene.place
-    return None if place is None else site_water(scene.atmosphere, place, scene.instrument.band)
-
-
-def _seasons(scene: Scene, times: Schedule | None) -> tuple[Season, ...] | None:
-    """Seasons of all observations; None without a schedule or without water by month."""
-    if times is None or scene.atmosphere is None or not scene.atmosphere.pwv_by_month:
+def _water(scene: Scene, dated: DatedWeather | None) -> Water | None:
+    if (place := scene.place) is None:
         return None
-    return seasons(times.start_mjd, scene.schedule.longitude_rad)
+    water = site_water(scene.atmosphere, place, scene.instrument.band)
+    if dated is not None and "pwv" in dated.known:
+        try:
+            water.response(dated.known["pwv"])
+        except OutOfRangeError as error:
+            raise SceneError(f"{TABLE_KEY}: {error}") from None
+    return water
 
 
 def signal_sim_observations(scene: Scene) -> np.ndarray:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapmaker.uncertainty import ratio_error, student_factor, subtract_in_quadrature
+from mapmaker.uncertainty import draws, ratio_error, student_factor, subtract_in_quadrature
 from surveysim.forecasting.forecast import DataSetForecast, Forecast, can_forecast, forecast
 from surveysim.forecasting.validity import compared_ell
 from surveysim.reduction.setup import Setup
@@ -102,9 +102,10 @@ def _scatter(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -
     """
     kept = expected.kept.share
     some = kept > 0
-    total = ratio_error((simulated.weights * kept)[some], (expected.weights * kept)[some])
+    block = None if simulated.block is None else np.unique(simulated.block[some], return_inverse=True)[1]
+    total = ratio_error((simulated.weights * kept)[some], (expected.weights * kept)[some], block)
     _, common = noise_parts(setup.analysis, simulated)
-    return subtract_in_quadrature(total, common) * student_factor(int(np.count_nonzero(some)))
+    return subtract_in_quadrature(total, common) * student_factor(draws(int(np.count_nonzero(some)), block))
 
 
 def quoted_forecast(simulated: DataSetScore, expected: DataSetForecast) -> float:

@@ -10,6 +10,7 @@ from surveysim.atmosphere.weather import b2_quantile, season_quantiles
 from surveysim.forecasting.forecast import Forecast
 from surveysim.reduction.setup import Setup
 from surveysim.scene.units import b2_unit
+from surveysim.scene.weather_table import OF_B2
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.scores import DataSetScore
 from surveysim.telescope.noise_levels import white_levels
@@ -98,24 +99,30 @@ def _weather(setup: Setup, coadds: CoAdds) -> list[ClosureTest]:
     air = setup.scene.atmosphere
     if air is None:
         return []
-    if setup.air.seasons:
-        b2, pwv = season_quantiles(air, setup.air.water, setup.air.seasons, QUARTILES)
+    if setup.air.dated and setup.air.dated.seasons:
+        b2, pwv = season_quantiles(air, setup.air.water, setup.air.dated.seasons, QUARTILES)
     else:
         b2 = b2_quantile(air, setup.air.water, ndtri(np.array(QUARTILES)))
         pwv = pwv_quantile(air, np.array(QUARTILES)) if setup.air.water is not None else np.empty(0)
     unit = b2_unit(air.spectral_index)
-    rows = [_quartile("B2", unit, k, value, coadds.column("b2_mk2")) for k, value in enumerate(b2)]
+    known = set(setup.air.dated.known) if setup.air.dated else set()  # of a table, not drawn
+    b2, pwv = b2[: 0 if known & set(OF_B2) else None], pwv[: 0 if "pwv" in known else None]
+    n_draw = coadds.done / (setup.air.dated.variance_factor if setup.air.dated else 1.0)
+    rows = [_quartile("B2", unit, k, value, coadds.column("b2_mk2"), n_draw) for k, value in enumerate(b2)]
     wind = np.degrees(coadds.column("wind_speed_rad_s")) * 60
-    if air.wind_b2_exponent == 0:  # else its median depends on B2
-        rows.append(_quartile("wind", "arcmin / s", 1, float(np.degrees(air.wind_median_rad_s)) * 60, wind))
-    rows += [_quartile("water", "mm", k, value, coadds.column("pwv_mm")) for k, value in enumerate(pwv)]
+    if air.wind_b2_exponent == 0 and "wind_speed" not in known:  # else its median depends on B2
+        rows.append(_quartile("wind", "arcmin / s", 1, float(np.degrees(air.wind_median_rad_s)) * 60, wind, n_draw))
+    rows += [_quartile("water", "mm", k, value, coadds.column("pwv_mm"), n_draw) for k, value in enumerate(pwv)]
     return rows
 
 
-def _quartile(name: str, unit: str, place: int, expected: float, drawn: np.ndarray) -> ClosureTest:
-    """Compare one quartile of draws (n,); its error is half the distance of draws one standard error of rank away."""
+def _quartile(name: str, unit: str, place: int, expected: float, drawn: np.ndarray, n_draw: float) -> ClosureTest:
+    """Compare one quartile of draws (n,), which are worth `n_draw` independent ones.
+
+    Its error is half the distance of draws one standard error of rank away.
+    """
     level, label = QUARTILES[place], ("first quartile", "median", "third quartile")[place]
-    reach = np.sqrt(level * (1 - level) / len(drawn))
+    reach = np.sqrt(level * (1 - level) / n_draw)
     low, found, high = np.quantile(drawn, np.clip([level - reach, level, level + reach], 0, 1))
     return ClosureTest("drawn", f"{name}, {label}", unit, float(expected), float(found), float(high - low) / 2)
 

@@ -137,5 +137,6 @@ def _sigma(setup: Setup, model: NoiseModel, psd: np.ndarray) -> float:
 def _control(setup: Setup, expected: Expectation, noise: np.ndarray) -> Control:
     of_sample = _psd(setup, noise)
     factor = np.divide(expected.psd, of_sample, out=np.ones_like(of_sample), where=of_sample > 0)
-    sampling = expected.variation / np.sqrt(len(noise))
+    bound = setup.air.dated.variance_factor if setup.air.dated else 1.0
+    sampling = expected.variation * np.sqrt(bound / len(noise))
     return Control(factor, expected_weights(setup.analysis, noise), noise, float(sampling), expected.error)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from surveysim.atmosphere.weather import pwv_quantile
+from surveysim.atmosphere.weather import survey_pwv_quantile
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.numbers import number, short
 from surveysim.runtime.table import Column, Table, column, file_column, share_text
@@ -38,9 +38,9 @@ def sensitivities(setup: Setup) -> dict[str, Sensitivity]:
     sky = scene.photon.load or scene.optics
     if sky.sky_k is not None:
         return {STATED: sensitivity(scene, None, math.nan, elevation_rad)}
-    opacity, air = setup.air.water.opacity, scene.atmosphere
+    opacity, air, dated = setup.air.water.opacity, scene.atmosphere, setup.air.dated
     return {
-        name: sensitivity(scene, opacity, float(pwv_quantile(air, share)), elevation_rad)
+        name: sensitivity(scene, opacity, float(survey_pwv_quantile(air, dated, share)), elevation_rad)
         for name, share in _QUARTILES.items()
     }
 

@@ -29,6 +29,9 @@ class RandomPurpose(IntEnum):
     JACKKNIFE = 11
     TREND = 12
     CALIBRATION = 13
+    WEATHER_DRIFT = 14
+    EVOLUTION = 15
+    WIND_DRIFT = 16
 
 
 @dataclass(frozen=True)
@@ -82,9 +85,10 @@ def normal_deviates(
     realization: int = 0,
     block: int = 0,
     band: str = "",
+    part: str = "",
 ) -> NormalDeviates:
     """Make the normal deviates of one purpose; parameters as for `generator`."""
-    words = _seed_sequence(seed, purpose, observation, (realization, block), band).generate_state(4)
+    words = _seed_sequence(seed, purpose, observation, (realization, block), band, part).generate_state(4)
     return NormalDeviates(tuple(words.tolist()))
 
 
@@ -96,6 +100,7 @@ def generator(
     realization: int = 0,
     block: int = 0,
     band: str = "",
+    part: str = "",
 ) -> np.random.Generator:
     """Make the random generator of one purpose in one observation and realization.
 
@@ -109,17 +114,24 @@ def generator(
         Indices from 0. Block 0 is not part of the key.
     band
         Name of the band of a camera, for numbers that bands do not share. An empty name is not part of the key.
+    part
+        Name of one of several things that share a purpose, such as a layer of the air. An empty name is not part of
+        the key.
     """
-    sequence = _seed_sequence(seed, purpose, observation, (realization, block), band)
+    sequence = _seed_sequence(seed, purpose, observation, (realization, block), band, part)
     return np.random.Generator(np.random.SFC64(sequence))
 
 
 def _seed_sequence(
-    seed: int, purpose: RandomPurpose | str, observation: int, realization_block: tuple[int, int], band: str
+    seed: int, purpose: RandomPurpose | str, observation: int, realization_block: tuple[int, int], band: str, part: str
 ) -> np.random.SeedSequence:
     realization, block = realization_block
     number = _number(purpose) if isinstance(purpose, str) else int(purpose)
-    own = (*((block,) if block else ()), *((_number(band),) if band else ()))
+    own = (
+        *((block,) if block else ()),
+        *((_number(band),) if band else ()),
+        *((_number(f"part {part}"),) if part else ()),
+    )
     return np.random.SeedSequence(seed, spawn_key=(realization, observation, number, *own))
 
 

@@ -1,9 +1,10 @@
 """Section [atmosphere]: the turbulent layer, its weather and the site."""
 
 from fractions import Fraction
+from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, model_validator
 
 from surveysim.runtime.errors import InputError
 from surveysim.scene.fields import (
@@ -12,6 +13,7 @@ from surveysim.scene.fields import (
     FLUCTUATION_MAX,
     FLUCTUATION_MIN,
     B2s,
+    Duration,
     Fluctuations,
     Index,
     Length,
@@ -19,15 +21,25 @@ from surveysim.scene.fields import (
     Probabilities,
     SiteName,
     SpeedExtent,
+    TableFile,
     Waters,
+    file_path,
     number,
+    whole,
 )
+from surveysim.scene.layers import Layer, WindDrift, check_layers
 from surveysim.scene.section import Section, check_knots, check_quantiles
 from surveysim.scene.sites import with_site
 from surveysim.scene.units import shown, to_floats
+from surveysim.scene.weather_table import OF_B2, WeatherTable, weather_table, with_table
 
 KOLMOGOROV = Fraction(11, 3)  # the index that amplitudes of fluctuations in `sites.toml` belong to
 _OF_SITE: Any = {"otherwise": "the site's"}
+
+
+def _power(index: float | Fraction) -> str:
+    """Unit of an amplitude of fluctuations at a spectral index."""
+    return f"rad({2 - Fraction(str(index)).limit_denominator(1000)})"
 
 
 class Atmosphere(Section):
@@ -51,7 +63,21 @@ class Atmosphere(Section):
     site: SiteName = None
     """Site that supplies place, water vapour, opacity and the keys that are left out. Not with a section [site]."""
     layer_height_m: Length = Field(alias="layer_height", json_schema_extra=_OF_SITE)
-    """Height of the layer above the telescope."""
+    """Height of the layer above the telescope. With several layers, the height that the drawn wind belongs to: the
+    angular speed times this height is the wind in m/s."""
+    layers: tuple[Layer, ...] = ()
+    """Without layers there is one, at `layer_height`. Not with a `profile`."""
+    profile: Literal["exponential"] | None = None
+    """Makes layers from a profile of the water vapour. "exponential": the power of fluctuations at a height is
+    proportional to the square of the water's density, which falls exponentially."""
+    profile_layers: Annotated[int, *whole(1, 20)] | None = Field(default=None, json_schema_extra={"otherwise": "4"})
+    """Number of layers of the `profile`."""
+    water_scale_height_m: Length | None = Field(alias="water_scale_height", default=None, json_schema_extra=_OF_SITE)
+    """Scale height of the density of water vapour, for a `profile`."""
+    decorrelation_time_s: Duration | None = Field(alias="decorrelation_time", default=None)
+    """Time T in which the pattern of each layer evolves, beside its motion: the correlation at a lag t < 2 T is
+    (1 - t / 2 T) cos(pi t / 2 T) + sin(pi t / 2 T) / pi, 0.76 at T / 2 and 0.32 at T, and none beyond 2 T. Without
+    it the layers are frozen."""
     b2_probabilities: Probabilities = ()
     """Probabilities of the quantiles `b2`, between 0 and 1."""
     b2: B2s = Field(default=(), json_schema_extra={"otherwise": "follows from the site"})
@@ -77,10 +103,34 @@ class Atmosphere(Section):
     """Standard deviation of the natural logarithm of the wind speed."""
     wind_b2_exponent: Annotated[float, *number(-2, 2)] = 0.0
     """Exponent of the median wind speed as a power of B2 over its median."""
+    wind_drift: WindDrift | None = None
+    """Without it the wind is constant in an observation. For all layers without a section of their own."""
+    correlation_time_s: Duration | None = Field(alias="correlation_time", default=None)
+    """Time in which the weather of the observations drifts: water, B2 (or the water fluctuation) and wind of two
+    observations correlate by exp(-lag / time). Their distributions stay the same. It needs a [schedule]. Without it
+    observations have independent weather."""
+    weather_table: TableFile = None
+    """ECSV table of the weather of real nights, in place of distributions: a column `time` (UTC; MJD, or ISO 8601) and
+    some of `pwv`, `b2` or `water_fluctuation`, `wind_speed` (in the layer, as a length or an angle over time) and
+    `wind_direction` (that it comes from, from north through east). Rows are interpolated to the middle of each
+    observation; quantities without a column are drawn. It needs a [schedule], and replaces keys of distributions, which
+    may be left out."""
+
+    @cached_property
+    def table(self) -> WeatherTable | None:
+        """Weather of real nights; None without a table."""
+        return None if self.weather_table is None else weather_table(self.weather_table, _power(self.spectral_index))
+
+    @property
+    def dated_key(self) -> str:
+        """Key that needs the dates of the observations; empty without one."""
+        if self.weather_table is not None:
+            return "weather_table"
+        return "" if self.correlation_time_s is None else "correlation_time"
 
     @model_validator(mode="before")
     @classmethod
-    def _site_and_units_of_the_index(cls, data: Any) -> Any:
+    def _site_and_units_of_the_index(cls, data: Any, info: ValidationInfo) -> Any:
         if not isinstance(data, dict):
             return data
         data, own = with_site(data), data
@@ -88,9 +138,11 @@ class Atmosphere(Section):
             return data
         try:
             index = Fraction(str(data["spectral_index"])).limit_denominator(1000)
-            power = f"rad({2 - index})"
+            power = _power(index)
         except (ValueError, ZeroDivisionError, OverflowError):
             index = power = None  # one error is enough: the index is refused by its own check
+        if power and (name := data.get("weather_table")) is not None:
+            data = with_table(data, file_path(name, info), power)
         of_water = power
         if (
             power
@@ -138,6 +190,8 @@ class Atmosphere(Section):
                     f"water_fluctuation: found {shown(self.water_fluctuation)}; values from {FLUCTUATION_MIN:g} to"
                     f" {FLUCTUATION_MAX:g} are expected"
                 )
+        if self.table is not None:
+            self._table_fits(self.table)
         if self.layer_height_m < self.illuminated_aperture_m:
             raise ValueError(
                 f"layer_height: found {self.layer_height_m:g} m with an aperture of {self.illuminated_aperture_m:g} m; "
@@ -152,7 +206,31 @@ class Atmosphere(Section):
             raise ValueError(
                 f"outer_scale: missing; an index of {self.spectral_index:g} (4 or more) needs an outer scale"
             )
+        self._layers_are_whole()
         return self
+
+    def _layers_are_whole(self) -> None:
+        """Raise ValueError for layers that can't be drawn, and for keys of a profile that is none."""
+        if self.layers:
+            check_layers(self.layers, self.spectral_index, self.outer_scale_m, self.illuminated_aperture_m)
+        if self.layers and self.profile:
+            raise ValueError("profile: found with 'layers'; one of them is expected")
+        if self.profile and self.water_scale_height_m is None:
+            raise ValueError("water_scale_height: missing; a 'profile' needs it")
+        for name in ("profile_layers", "water_scale_height_m"):
+            if self.profile is None and getattr(self, name) is not None:
+                raise ValueError(f"{name.removesuffix('_m')}: found without 'profile', which it belongs to")
+
+    def _table_fits(self, table: WeatherTable) -> None:
+        """Raise ValueError for a table of weather with columns that the other keys have no use for."""
+        for name in ("pwv", "water_fluctuation"):
+            if name in table.columns and self.site is None:
+                raise ValueError(f"site: missing; the column {name!r} of 'weather_table' needs the opacity of a site")
+        if self.wind_b2_exponent and "wind_speed" not in table.columns and set(OF_B2) & set(table.columns):
+            raise ValueError(
+                f"wind_b2_exponent: found {self.wind_b2_exponent:g} with the B2 of 'weather_table'; 0, or a column"
+                " 'wind_speed', is expected"
+            )
 
     def _water_is_whole(self) -> None:
         """Raise ValueError for water of a site that is no distribution."""

@@ -274,6 +274,11 @@ def _check_common_weather(scene: Scene, table: Mapping[str, Any], n_bands: int) 
             "atmosphere.b2: found for all bands; it is expected in each [bands.NAME.atmosphere], as B2 differs between"
             " bands, or left out with a site that it follows from"
         )
+    if air.table is not None and "b2" in air.table.columns:
+        raise SceneError(
+            "atmosphere.weather_table: found a column b2 with [bands]; water_fluctuation is expected, as B2"
+            " differs between bands"
+        )
     if air.wind_b2_exponent:
         raise SceneError(
             f"atmosphere.wind_b2_exponent: found {air.wind_b2_exponent:g} with [bands]; 0 is expected, as B2 differs"

@@ -35,7 +35,8 @@ from surveysim.scene.place import Place, SiteSection, own_place, shipped_place, 
 from surveysim.scene.readout import ReadoutSections
 from surveysim.scene.renamed_keys import renamed_lines
 from surveysim.scene.response import ResponseSections
-from surveysim.scene.scan_patterns import MIN_SAMPLES, AnyScan, RasterScan
+from surveysim.scene.scan_patterns import AnyScan, RasterScan
+from surveysim.scene.scan_section import MIN_SAMPLES
 from surveysim.scene.section import Section
 from surveysim.scene.shipped import MAX_NAME, NAME, find_scene, is_name, no_such_scene
 from surveysim.scene.sites import OWN
@@ -141,10 +142,14 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
     def _sections_fit(self) -> Self:
         if (self.schedule is None) == (self.fixed_pointing is None):
             raise ValueError("exactly one of the sections 'schedule' and 'fixed_pointing' is expected")
+        if self.fixed_pointing and (found := self.scan.needs_horizon):
+            raise ValueError(f"scan.{found} with [fixed_pointing]; a section [schedule] is expected in its place")
         if self.excess and len(self.excess.b2) > 1 and self.atmosphere is None:
             raise ValueError("excess.b2: found several values; without [atmosphere] one value is expected")
         if self.atmosphere and self.atmosphere.site and not self.instrument.band.width_hz:
             raise ValueError("instrument.bandwidth: missing; the opacity of a site needs the width of the band")
+        if self.fixed_pointing and self.atmosphere and (key := self.atmosphere.dated_key):
+            raise ValueError(f"atmosphere.{key}: found with [fixed_pointing]; [schedule] is expected, which has dates")
         self._beam_is_known()
         self._load_is_given()
         self._power_is_known()
@@ -152,9 +157,9 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
         if not any(getattr(self, name) for name in StreamSections.model_fields):
             *names, last = StreamSections.model_fields
             raise ValueError(f"at least one of {', '.join(names)} and {last} is expected")
-        if (found := self.scan.duration_s * self.scan.sample_rate_hz) < MIN_SAMPLES:
+        if (samples := self.scan.duration_s * self.scan.sample_rate_hz) < MIN_SAMPLES:
             key = self.scan.duration_key
-            raise ValueError(f"{key}: found {found:.3g} samples a scan; {MIN_SAMPLES} or more are expected")
+            raise ValueError(f"{key}: found {samples:.3g} samples a scan; {MIN_SAMPLES} or more are expected")
         return self
 
     def _readout_fits(self) -> None:

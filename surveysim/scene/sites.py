@@ -10,6 +10,7 @@ from surveysim.scene.units import to_floats
 
 OWN = "own"  # the site of a scene with a section [site]
 PLACE_KEYS = ("title", "latitude", "longitude", "height", "temperature", "opacity")
+PROFILE_KEY = "water_scale_height"  # taken by a scene with a profile alone
 WATER_KEYS = (("pwv",), ("pwv_by_month", "pwv_by_hour"))  # a scene that gives one replaces the site's other
 
 
@@ -50,7 +51,7 @@ def with_site(section: Mapping[str, Any]) -> dict[str, Any]:
 
 def is_taken(key: str, section: Mapping[str, Any]) -> bool:
     """Return whether an [atmosphere] takes a key from its site."""
-    if key in PLACE_KEYS or key in section:
+    if key in PLACE_KEYS or key in section or (key == PROFILE_KEY and "profile" not in section):
         return False
     return not any(
         key in ours and any(other in section for other in theirs) for ours, theirs in (WATER_KEYS, WATER_KEYS[::-1])

@@ -2,10 +2,11 @@
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from mapmaker.uncertainty import ErrorBudget
+from mapmaker.uncertainty import ErrorBudget, block_sums
 from surveysim.survey.scores import DataSetScore
 
 
@@ -62,16 +63,18 @@ def error_modes(
     norm is the relative error of its item, and the norm of the difference of two rows that of their ratio; what both
     respond to alike cancels.
     Responses are those of `mapmaker.bandpower`: to the noise, one mode for each of the sign-flipped co-adds, whose
-    signs are common; to the weather, one for each observation, common too (of controlled scores how its information
-    differs from the forecast's); to the transfer function, one for each sky and bin, common to items whose `skies` and
-    bins are equal; to the sample of weather that expectations are taken from, common to all. An unknown error makes its
-    row NaN. How far noise is common shows in the scatter of K co-adds: its correlation between two items is known to
-    1 / sqrt(K - 1). How far transfer functions are common shows in what each sky does to each bin.
+    signs are common; to the weather, one for each observation, or block of observations with independent weather,
+    common too (of controlled scores how its information differs from the forecast's); to the transfer function, one for
+    each sky and bin, common to items whose `skies` and bins are equal; to the sample of weather that expectations are
+    taken from, common to all. An unknown error makes its row NaN. How far noise is common shows in the scatter of K
+    co-adds: its correlation between two items is known to 1 / sqrt(K - 1). How far transfer functions are common shows
+    in what each sky does to each bin.
     """
     groups = [(key, item.band.ell.tobytes()) for item, key in zip(items, skies, strict=True)]
     pairs = list(zip(items, responses or map(sigma_response, items), strict=True))
+    block = _common_blocks(items)
     transfer = [_transfer_function_row(*pair) for pair in pairs]
-    rows_of = (_noise_row, _weather_row, lambda item, response: np.array([response.budget.population]))
+    rows_of = (_noise_row, partial(_weather_row, block), lambda _, response: np.array([response.budget.population]))
     columns = [_stacked([row(*pair) for pair in pairs]) for row in rows_of]
     for group in dict.fromkeys(groups):
         rows = [row if own == group else row[:0] for row, own in zip(transfer, groups, strict=True)]
@@ -87,13 +90,25 @@ def _noise_row(item: DataSetScore, response: Response) -> np.ndarray:
     return _of_norm(response.budget.noise, row - row.mean())
 
 
-def _weather_row(item: DataSetScore, response: Response) -> np.ndarray:
+def _common_blocks(items: Sequence[DataSetScore]) -> np.ndarray | None:
+    """Blocks (n_obs,) of observations whose weather is independent in all items; None where all observations are."""
+    if all(item.block is None for item in items):
+        return None
+    begins = np.ones(max(len(item.weights) for item in items), bool)
+    for item in items:
+        if item.block is not None:
+            begins[1 : len(item.block)] &= np.diff(item.block) > 0
+    return np.cumsum(begins) - 1
+
+
+def _weather_row(block: np.ndarray | None, item: DataSetScore, response: Response) -> np.ndarray:
     if not np.isfinite(response.noise).all():
         return np.full(len(item.weights), np.nan)
     if not response.noise.any():  # a quantity of the transfer function alone
         return np.zeros(len(item.weights))
     how = response.noise, response.exponent
-    return _of_norm(response.budget.weather, item.shares(*how) - item.expected_shares(*how))
+    off = item.shares(*how) - item.expected_shares(*how)
+    return _of_norm(response.budget.weather, block_sums(off, None if block is None else block[: len(off)]))
 
 
 def _transfer_function_row(item: DataSetScore, response: Response) -> np.ndarray:

@@ -10,6 +10,7 @@ from mapmaker.spectrum import Annuli, map_psd
 from mapmaker.transfer_function import TransferFunction, measure_transfer_function
 from mapmaker.uncertainty import (
     ErrorBudget,
+    draws,
     information_shares,
     noise_error,
     noise_error_parts,
@@ -76,6 +77,8 @@ class DataSetScore:
         Fraction of their scans that is kept.
     control
         Control variate, or None.
+    block : (n_obs,)
+        Block of each observation, numbered from 0, where only blocks have independent weather; else None.
     plain
         Result without control variate, if there is one.
     """
@@ -93,6 +96,7 @@ class DataSetScore:
     kept: np.ndarray | float = 1.0
     control: Control | None = None
     plain: BandPower | None = None
+    block: np.ndarray | None = None
 
     @property
     def noise_psd(self) -> np.ndarray:
@@ -162,6 +166,7 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
             weights=weights[:, s],
             bin_noise=np.array(coadds.bin_noise)[:, s],
             kept=kept[name],
+            block=setup.air.block(coadds.done),
         )
     return scores
 
@@ -174,8 +179,8 @@ def controlled_score(analysis: AnalysisSetup, item: DataSetScore, control: Contr
     """
     rings, selected = analysis.region.rings, item.band.weight > 0
     _, common = noise_parts(analysis, item)
-    off = ratio_error(item.information, replace(item, control=control).expected)
-    off = subtract_in_quadrature(off, common) * student_factor(len(item.weights))
+    off = ratio_error(item.information, replace(item, control=control).expected, item.block)
+    off = subtract_in_quadrature(off, common) * student_factor(draws(len(item.weights), item.block))
     budget = replace(item.budget, weather=off, population=control.population)
     plain = replace(item.budget, weather=float(np.hypot(off, control.sampling))).total
     quoted = replace(item, budget=budget, control=control)
@@ -218,6 +223,7 @@ def rescore(analysis: AnalysisSetup, item: DataSetScore, ell_min: float) -> Data
         weights=item.weights,
         bin_noise=item.bin_noise,
         kept=item.kept,
+        block=item.block,
         selected=selected,
     )
     return plain if item.control is None else controlled_score(analysis, plain, item.control)
@@ -243,6 +249,7 @@ def _score(
     weights: np.ndarray,
     bin_noise: np.ndarray,
     kept: np.ndarray | float,
+    block: np.ndarray | None,
     selected: np.ndarray | None = None,
 ) -> DataSetScore:
     rings, signal = analysis.region.rings, analysis.region.signal_psd * transfer_function.transmission
@@ -261,10 +268,10 @@ def _score(
         edges_ell=rings.edges_ell,
         information=shares,
         correlation=analysis.region.correlation,
+        block=block,
     )
-    return DataSetScore(
-        item.name, item.kind, item.n_det, band, budget, psds, signal, transfer_function, weights, bin_noise, kept
-    )
+    of_maps = psds, signal, transfer_function, weights, bin_noise, kept
+    return DataSetScore(item.name, item.kind, item.n_det, band, budget, *of_maps, block=block)
 
 
 def transfer_function_errors(transfer_function: TransferFunction) -> np.ndarray:

@@ -6,9 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from surveysim.scene.scan_patterns import DaisyScan, RasterScan, ScanSection
+from surveysim.scene.scan_figures import DaisyScan, LissajousScan, PongScan
+from surveysim.scene.scan_patterns import RasterScan
+from surveysim.scene.scan_section import ScanSection
 from surveysim.telescope.horizon_frame import HorizonFrame
-from surveysim.telescope.patterns.daisy import daisy_extent, daisy_path, scene_daisy
+from surveysim.telescope.patterns.daisy import scene_daisy
+from surveysim.telescope.patterns.figures import figure_extent, figure_path
+from surveysim.telescope.patterns.lissajous import scene_lissajous
+from surveysim.telescope.patterns.pong import scene_pong
 from surveysim.telescope.patterns.raster import observation_raster, raster_extent, scene_raster
 from surveysim.telescope.scans import ScanPath, Scans
 
@@ -40,7 +45,9 @@ class ScanPattern:
 
 SCAN_PATTERNS = (
     ScanPattern("raster", RasterScan, scene_raster, observation_raster, raster_extent),
-    ScanPattern("daisy", DaisyScan, scene_daisy, daisy_path, daisy_extent),
+    ScanPattern("daisy", DaisyScan, scene_daisy, figure_path, figure_extent),
+    ScanPattern("lissajous", LissajousScan, scene_lissajous, figure_path, figure_extent),
+    ScanPattern("pong", PongScan, scene_pong, figure_path, figure_extent),
 )
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from surveysim.runtime.errors import OutOfRangeError
-from surveysim.scene.scan_patterns import MIN_SAMPLES, ScanSection
+from surveysim.scene.scan_section import MIN_SAMPLES, ScanSection
 
 
 @dataclass(frozen=True, kw_only=True)

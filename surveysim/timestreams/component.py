@@ -66,7 +66,7 @@ COMPONENTS = (
         "atmosphere",
         "Atmosphere",
         add_atmosphere,
-        "a frozen layer that the wind moves through the beams",
+        "turbulent layers that the wind moves through the beams",
         through_response=True,
         absence=": no layer, no weather",
         switch="turbulence",

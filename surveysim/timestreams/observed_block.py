@@ -71,8 +71,8 @@ def observation_weather(setup: Simulation, observation: int) -> Weather | None:
     """The weather drawn for one observation; None without an atmosphere."""
     if setup.scene.atmosphere is None:
         return None
-    when = setup.air.seasons[observation] if setup.air.seasons else None
-    return survey_weather(setup.scene.atmosphere, setup.air.water, setup.scene.seed, observation, when=when)
+    air = setup.air
+    return survey_weather(setup.scene.atmosphere, air.water, setup.scene.seed, observation, dated=air.dated)
 
 
 def observation_levels(setup: Simulation, observation: int) -> WhiteLevels:

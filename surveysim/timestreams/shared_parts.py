@@ -7,8 +7,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mapmaker.geometry import MapGeometry
+from surveysim.atmosphere.layers import Layer, b2_factor, dominant_layer, layer_screen, layer_sections, wind_factor
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.rng import RandomPurpose, generator
+from surveysim.scene.layers import Layer as LayerSection
 from surveysim.scene.noise_and_sky import Photon
 from surveysim.scene.scene import Scene
 from surveysim.telescope.diffraction import effective_area_m2
@@ -23,7 +25,6 @@ from surveysim.telescope.pixel_coherence import (
 )
 
 if TYPE_CHECKING:
-    from surveysim.atmosphere.screen_simulation import SlantStrips
     from surveysim.atmosphere.thin_screen import Screen
 
 
@@ -87,26 +88,27 @@ def _check_gap(cam: Camera, coherence: PixelCoherence, name: str) -> None:
 
 
 def screen(scene: Scene) -> "Screen":
-    """Make the thin screen at the zenith; raises SceneError for parameters that it has no closed form for."""
-    from surveysim.atmosphere.thin_screen import Screen
+    """Make the thin screen at the zenith of the layer with the largest share of B2.
 
-    air = scene.atmosphere
-    outer = math.inf if air.outer_scale_m is None else air.outer_scale_m / air.layer_height_m
-    try:
-        return Screen(air.spectral_index, air.illuminated_aperture_m / air.layer_height_m, outer)
-    except OutOfRangeError as error:
-        raise SceneError(f"atmosphere: {error}") from None
+    Raises SceneError for parameters that it has no closed form for.
+    """
+    return layer_screen(scene.atmosphere, dominant_layer(scene.atmosphere))
 
 
-def layer_strips(scene: Scene, extent: CameraExtent) -> "SlantStrips | None":
-    """Make the cache of strips of the layer, still empty; None without a layer."""
+def air_layers(scene: Scene, extent: CameraExtent) -> tuple[Layer, ...]:
+    """Make the layers with their caches of strips, still empty; none without turbulence."""
     if not scene.turbulent:
-        return None
+        return ()
     from surveysim.atmosphere.screen_simulation import SlantStrips
 
-    numerics = scene.numerics
+    air, numerics = scene.atmosphere, scene.numerics
     numbers = numerics.screen_step, numerics.interpolation, numerics.precision
-    return SlantStrips(screen(scene), extent.radius_rad, extent.closest_rad, *numbers)
+
+    def layer(number: int, section: LayerSection) -> Layer:
+        strips = SlantStrips(layer_screen(air, section), extent.radius_rad, extent.closest_rad, *numbers)
+        return Layer(number, section, b2_factor(air, section), wind_factor(air, section), strips)
+
+    return tuple(layer(*item) for item in enumerate(layer_sections(air)))
 
 
 def scene_sky(scene: Scene, geometry: MapGeometry, fwhm_rad: tuple[float, ...]) -> np.ndarray | None:

@@ -6,13 +6,13 @@ they are first asked for: checks and plans need none of them.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mapmaker.geometry import MapGeometry
 from mapmaker.timestreams import FocalPlane
-from surveysim.atmosphere.water import Season
+from surveysim.atmosphere.dated_weather import DatedWeather
+from surveysim.atmosphere.layers import Layer
 from surveysim.atmosphere.weather import Water
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.once import once
@@ -31,10 +31,6 @@ from surveysim.telescope.scan_pattern import ScanPattern
 from surveysim.telescope.scans import ScanPath, Scans, duration_s, mid_times, samples_per_scan
 from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.shared_parts import photon_coherence, scene_sky, shared_noise
-
-if TYPE_CHECKING:
-    from surveysim.atmosphere.screen_simulation import SlantStrips
-
 
 _NONE = PixelCoherence("none")
 
@@ -167,20 +163,24 @@ class AirSetup:
 
     Parameters
     ----------
-    strips
-        Strips of the layer, none drawn yet; None without an atmosphere.
+    layers
+        Turbulent layers; none without an atmosphere.
     water
         Response of the band to the water of the site; None without a site.
-    seasons
-        Season of each observation; None unless the water goes by it.
+    dated
+        Dependence of the weather on the dates of the observations; None without.
     all_bands
         Detectors of all bands of the camera, which see the same strips; None for a camera of one band.
     """
 
-    strips: "SlantStrips | None"
+    layers: tuple[Layer, ...]
     water: Water | None
-    seasons: tuple[Season, ...] | None = None
+    dated: DatedWeather | None = None
     all_bands: FocalPlane | None = None
+
+    def block(self, n_obs: int) -> np.ndarray | None:
+        """Blocks (n_obs,) with independent weather of the first observations; None where all are independent."""
+        return None if self.dated is None or self.dated.block is None else self.dated.block[:n_obs]
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from mapmaker.geometry import pixel_homography
 from mapmaker.timestreams import FocalPlane
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.telescope.pointing import Pointing
@@ -50,17 +51,13 @@ def add_seen_sky(
         raise OutOfRangeError(
             f"found streams {data_mk.shape}, gains {gain.shape}; ({n_det}, {n_samp}), ({n_det},) are expected"
         )
-    scale = 1 / grid.pixel_rad
-    angle = pointing.array_angle_rad
-    column = grid.n_x / 2 - 0.5 - pointing.xi_rad * scale
-    row = grid.n_y / 2 - 0.5 + pointing.eta_rad * scale
-    cos, sin = np.cos(angle) * scale, np.sin(angle) * scale
-    track, gain = (column, row, cos, sin), gain.astype(data_mk.dtype)
+    track = pixel_homography(grid, pointing.xi_rad, pointing.eta_rad, pointing.array_angle_rad, first=-0.5)
+    gain = gain.astype(data_mk.dtype)
     if len(skies := sky_mk.reshape(-1, grid.n_y, grid.n_x)) == 1:
-        add_sky(data_mk, skies[0], *track, plane.x_rad, plane.y_rad, gain)
+        add_sky(data_mk, skies[0], track, plane.x_rad, plane.y_rad, gain)
         return
     for number, sky in enumerate(skies):
         rows = np.flatnonzero(setup.camera.beams.of_detector == number)
         part = data_mk[rows]
-        add_sky(part, sky, *track, plane.x_rad[rows], plane.y_rad[rows], gain[rows])
+        add_sky(part, sky, track, plane.x_rad[rows], plane.y_rad[rows], gain[rows])
         data_mk[rows] = part

@@ -203,8 +203,9 @@ def test_looked_up_waves_keep_their_power(phase, allowed):
         sky = np.exp(1j * (phase * column + across * row))
         read = np.zeros((2, 1, n_samp))
         for part, of_sky in enumerate((sky.real, sky.imag)):
-            zero, one = np.zeros(1), np.ones(n_samp)
-            add_sky(read[part], sharpened(of_sky), at_column, at_row, one, 0 * one, zero, zero, np.ones(1))
+            place = np.zeros((8, n_samp))
+            place[0], place[3] = at_column, at_row
+            add_sky(read[part], sharpened(of_sky), place, np.zeros(1), np.zeros(1), np.ones(1))
         wave = np.exp(-1j * (phase * at_column + across * at_row))
         power = np.abs(np.mean((read[0, 0] + 1j * read[1, 0]) * wave)) ** 2
         # Random places add the images of the grid, of a few percent of the amplitude each.

@@ -12,7 +12,7 @@ from surveysim.reduction.setup import prepare
 from surveysim.scene.passband import top_hat
 from surveysim.scene.place import shipped_place
 from surveysim.scene.scene import load_scene
-from surveysim.timestreams.atmosphere import add_layer
+from surveysim.timestreams.atmosphere import add_layers
 from surveysim.timestreams.simulation import observation_path
 from tests.scenes import SMALL_SCENE, without_sections
 
@@ -56,7 +56,7 @@ def test_streams_of_the_layer(setups):
     for setup in setups:
         path, pointing = observation_path(setup.observing, 0)
         data = np.zeros((setup.camera.n_det, len(path.time_s)))
-        add_layer(setup, 0, pointing, weather=WEATHER, data=data)
+        add_layers(setup, 0, pointing, weather=WEATHER, data=data)
         drawn.append(data)
     ratio = np.sqrt(np.mean(drawn[0] ** 2) / np.mean(drawn[1] ** 2))
     np.testing.assert_allclose(drawn[0], ratio * drawn[1], rtol=1e-9, atol=1e-9 * drawn[1].std())

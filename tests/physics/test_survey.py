@@ -201,7 +201,7 @@ def test_stream_psds_add_up(tmp_path):
     elevation = scene.fixed_pointing.elevation_rad
     amplitude, seen = (
         280 * np.sin(elevation) ** (1 - air.spectral_index),
-        at_elevation(setup.air.strips.screen, np.sin(elevation)),
+        at_elevation(setup.air.layers[0].strips.screen, np.sin(elevation)),
     )
     wind, scan = air.wind_median_rad_s, setup.observing.scans.speed_rad_s
     # The layer passes at the vector difference of wind and scan, at all angles alike.

@@ -15,7 +15,7 @@ from surveysim.atmosphere.thin_screen import Screen, structure_function
 from surveysim.atmosphere.weather import Weather
 from surveysim.reduction.setup import prepare
 from surveysim.scene.scene import load_scene
-from surveysim.timestreams.atmosphere import add_layer
+from surveysim.timestreams.atmosphere import add_layers
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.simulation import observation_path
 from tests.deviates import deviates
@@ -179,7 +179,7 @@ def layer_alone(setup, observation=0, weather=None, block=None, realization=0):
     n_scan = block.n_scans if block else setup.observing.scans.n_scans
     data = np.zeros((setup.camera.n_det, n_scan * (len(pointing.time_s) // setup.observing.scans.n_scans)), np.float32)
     weather = weather or observation_weather(setup, observation)
-    add_layer(setup, observation, pointing, weather=weather, data=data, realization=realization, block=block)
+    add_layers(setup, observation, pointing, weather=weather, data=data, realization=realization, block=block)
     return data
 
 
@@ -200,7 +200,11 @@ def test_an_observation_s_slopes_are_those_of_its_places_on_the_sky(scene_of):
     fit = np.kron(np.eye(6), time / (time @ time))
     flat = place.ravel()
     expected = (
-        fit @ structure_function(setup.air.strips.screen, np.abs(flat[:, None] - flat)) @ fit.T / -2 / sine.mean()
+        fit
+        @ structure_function(setup.air.layers[0].strips.screen, np.abs(flat[:, None] - flat))
+        @ fit.T
+        / -2
+        / sine.mean()
     )
     centre = np.argmin(np.hypot(setup.camera.focal_plane.x_rad, setup.camera.focal_plane.y_rad))
     data = np.array([layer_alone(setup, 1, weather, None, k)[centre] for k in range(n_draw)], float)

@@ -112,7 +112,7 @@ def layers(winds, n, b2, noise=True):
     excess = full.excess.model_copy(update={"b2": (1.0,), "variance_mk2": (6.0,)})
     without = full.cleaning.model_copy(update={"algorithm": ("none",)})
     still = prepare(full.model_copy(update={"atmosphere": None, "score": None, "cleaning": without, "excess": excess}))
-    strips = prepare(full).air.strips
+    strips = prepare(full).air.layers[0].strips
     fits = []
     for i in range(n):
         streams = draw_observation(still, i)

@@ -196,7 +196,7 @@ def edge_streams(setup: Setup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     data = np.zeros((2, n), np.float32)
     wind = np.array([[air.wind_median_rad_s, 0.0]])
     bounds, rest, sine = np.array([[0, n]]), np.zeros((1, 2)), sin(_elevation_rad(setup))
-    amplitude, strips = np.array([sqrt(_median_b2(setup) / sine)]), setup.air.strips.at(sine)
+    amplitude, strips = np.array([sqrt(_median_b2(setup) / sine)]), setup.air.layers[0].strips.at(sine)
     add_atmosphere(
         data,
         bounds,
@@ -234,7 +234,7 @@ def _expected_mk(setup: Setup) -> float:
     """Expected rms [mK] of a mean-removed scan."""
     speed, duration = setup.scene.atmosphere.wind_median_rad_s, setup.scene.scan.duration_s
     sine = sin(_elevation_rad(setup))
-    variance = mean_removed_variance(setup.air.strips.screen, speed / sine, duration)
+    variance = mean_removed_variance(setup.air.layers[0].strips.screen, speed / sine, duration)
     return sqrt(_median_b2(setup) / sine * variance)
 
 

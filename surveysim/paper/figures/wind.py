@@ -14,7 +14,7 @@ from surveysim.paper.statistics import described
 from surveysim.reduction.setup import Setup
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.runtime.errors import InsufficientDataError
-from surveysim.timestreams.atmosphere import add_layer
+from surveysim.timestreams.atmosphere import add_layers
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_weather, observed_block
 from surveysim.timestreams.response import block_response
@@ -91,7 +91,7 @@ def two_layers(setup: Setup, observation: int) -> WindFit:
     weather = observation_weather(setup, observation)
     turned = replace(weather, wind_angle_rad=weather.wind_angle_rad + SECOND_LAYER_RAD)
     extra = np.zeros_like(streams.data_mk)
-    add_layer(setup, observation, pointing, weather=turned, data=extra, realization=1)
+    add_layers(setup, observation, pointing, weather=turned, data=extra, realization=1)
     whole = Block(0, 0, setup.observing.scans.n_scans)
     block_response(observed_block(setup, observation, whole, pointing), extra).apply(extra)
     return measure(setup, replace(streams, data_mk=streams.data_mk + extra), observation).wind

@@ -25,16 +25,45 @@ def _daisy(scan: Values) -> str:
     turn = f" that turns in {short(scan['rotation_period_s'])} s" if scan["rotation_period_s"] else ""
     return (
         f"a daisy of radius {_arcmin(scan['radius_rad'])}, with a period of {short(scan['radial_period_s'])} s along a"
-        f" diameter{turn}, {_chunks(scan)}"
+        f" diameter{turn}, {_figure(scan)}"
     )
 
 
-def _chunks(scan: Values) -> str:
-    return f"for {short(scan['total_s'])} s in chunks of {short(scan['duration_s'])} s."
+def _lissajous(scan: Values) -> str:
+    x, y = _arcmin(scan["amplitude_x_rad"]), _arcmin(scan["amplitude_y_rad"])
+    return (
+        f"a Lissajous figure of amplitudes {x} and {y}, with periods of {short(scan['period_x_s'])} s and"
+        f" {short(scan['period_y_s'])} s, {_figure(scan)}"
+    )
+
+
+def _pong(scan: Values) -> str:
+    return (
+        f"a pong of {_arcmin(scan['width_rad'])} by {_arcmin(scan['height_rad'])}, with lines"
+        f" {_arcmin(scan['spacing_rad'])} apart at {_arcmin(scan['velocity_rad_s'])}/s, {_figure(scan)}"
+    )
+
+
+def _figure(scan: Values) -> str:
+    axes = {"sky": "along right ascension and declination", "horizon": "along azimuth and elevation"}[scan["frame"]]
+    turned = f", turned by {_degrees(scan['angle_rad'])}" if scan["angle_rad"] else ""
+    step = f", {_degrees(scan['angle_step_rad'])} more in each observation" if scan["angle_step_rad"] else ""
+    return (
+        f"for {short(scan['total_s'])} s in chunks of {short(scan['duration_s'])} s. Its axes are {axes}{turned}{step}."
+    )
+
+
+def _degrees(angle: float) -> str:
+    return f"{short(float(f'{math.degrees(angle):.9g}'))} deg"
 
 
 def _arcmin(angle: float) -> str:
     return f"{short(float(f'{math.degrees(angle) * 60:.9g}'))} arcmin"
 
 
-_WORDS: dict[str, Callable[[Values], str]] = {"raster": _raster, "daisy": _daisy}
+_WORDS: dict[str, Callable[[Values], str]] = {
+    "raster": _raster,
+    "daisy": _daisy,
+    "lissajous": _lissajous,
+    "pong": _pong,
+}

@@ -166,8 +166,10 @@ def _component(item: StreamComponent, section: Values) -> Iterator[str]:
 
 def _atmosphere(air: Values) -> Iterator[str]:
     index = Fraction(air["spectral_index"]).limit_denominator(1000)
-    yield f"One frozen layer {short(air['layer_height_m'])} m above the telescope, seen through an aperture of"
+    yield f"{_layers(air)}, seen through an aperture of"
     yield f"{short(air['illuminated_aperture_m'])} m, with the spectrum B2 α^(-{index})."
+    for layer in air["layers"]:
+        yield f"{layer['name']}: {_percent(layer['share'])} of B2, {short(layer['height_m'])} m above the telescope."
     if air["outer_scale_m"] is not None:
         yield f"Its outer scale is {short(air['outer_scale_m'])} m."
     if air["site"]:
@@ -182,8 +184,26 @@ def _atmosphere(air: Values) -> Iterator[str]:
     wind = air["wind_median_rad_s"]
     yield f"Winds have a median of {_arcmin(wind)}/s ({number(wind * air['layer_height_m'])} m/s in the layer),"
     yield f"a scatter of {short(air['wind_log_scatter'])} in the logarithm and all directions."
+    if air["wind_drift"]:
+        yield f"They change within an observation, on a time scale of {short(air['wind_drift']['time_scale_s'])} s."
     if air["wind_b2_exponent"]:
         yield f"Their median is proportional to B2^({short(air['wind_b2_exponent'])})."
+    if air["weather_table"] is not None:
+        yield f"The table {PurePath(air['weather_table']).name} replaces distributions of its columns."
+    if air["correlation_time_s"] is not None:
+        yield f"Weather drifts: observations correlate by exp(-lag / {short(air['correlation_time_s'] / 3600)} h)."
+
+
+def _layers(air: Values) -> str:
+    """Name the layers of the atmosphere, without their spectrum."""
+    seconds = air["decorrelation_time_s"]
+    kind = "frozen" if seconds is None else f"slowly changing ({short(seconds)} s)"
+    if air["profile"]:
+        height = short(air["water_scale_height_m"])
+        return f"{kind.capitalize()} layers of an {air['profile']} profile of scale height {height} m"
+    if air["layers"]:
+        return f"{len(air['layers'])} {kind} layers"
+    return f"One {kind} layer {short(air['layer_height_m'])} m above the telescope"
 
 
 def _excess(excess: Values) -> Iterator[str]:

@@ -17,7 +17,7 @@ from surveysim.runtime.rng import normal_deviates
 from surveysim.scene.analysis import Cleaning
 from surveysim.scene.scene import Scene
 from surveysim.studies.stress.case import N_SAMP, RATE_HZ, TEMPLATES, Outcome, agrees
-from surveysim.timestreams.atmosphere import add_layer
+from surveysim.timestreams.atmosphere import add_layers
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.simulation import observation_path
@@ -40,14 +40,14 @@ def layer(scene: Scene) -> Outcome:
     cleaned = clean("average", streams.data_mk, streams.scan_bounds, streams.focal_plane, options=TEMPLATES)
     if not (np.isfinite(streams.data_mk).all() and np.isfinite(cleaned.data_mk).all()):
         return Outcome("streams that are not finite", 0.0, 0.0, False)
-    worst = max(_departure(setup.air.strips.screen, strip) for strip in _strips(setup))
+    worst = max(_departure(setup.air.layers[0].strips.screen, strip) for strip in _strips(setup))
     # Omitted modes may add 1e-3 to the differences along and across together.
     return agrees(worst, 0.0, 2e-3, "relative departure of the structure function")
 
 
 def _strips(setup: Setup) -> Iterator[Strip]:
     """All strips that a setup has made."""
-    for cache in setup.air.strips.caches.values():
+    for cache in setup.air.layers[0].strips.caches.values():
         yield from cache.strips.values()
 
 
@@ -76,7 +76,7 @@ def _moved(setup: Setup, scan_rad_s: np.ndarray, layer_rad_s: np.ndarray) -> np.
         velocity_rad_s=np.array([scan_rad_s]),
         layer_velocity_rad_s=np.array([layer_rad_s]),
         amplitude_mk=np.array([17.0]),
-        strips=setup.air.strips.at(1.0),
+        strips=setup.air.layers[0].strips.at(1.0),
         deviates=normal_deviates(3, "stress"),
     )
     return data
@@ -102,7 +102,7 @@ def one_layer(setup: Setup, b2: float = 0.0) -> np.ndarray:
     path, pointing = observation_path(setup.observing, 0)
     weather = observation_weather(setup, 0)
     data = np.zeros((setup.camera.n_det, len(path.time_s)), np.float32)
-    add_layer(setup, 0, pointing, weather=replace(weather, b2=b2 or weather.b2), data=data)
+    add_layers(setup, 0, pointing, weather=replace(weather, b2=b2 or weather.b2), data=data)
     return data
 
 

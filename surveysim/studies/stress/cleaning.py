@@ -25,7 +25,7 @@ from surveysim.runtime.rng import normal_deviates
 from surveysim.scene.scene import Scene
 from surveysim.studies.stress.atmosphere import one_layer
 from surveysim.studies.stress.case import N_SAMP, QUANTUM, RATE_HZ, STIFF, TEMPLATES, Outcome, agrees
-from surveysim.timestreams.atmosphere import add_layer
+from surveysim.timestreams.atmosphere import add_layers
 from surveysim.timestreams.noise import add_white
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.simulation import observation_path
@@ -59,12 +59,14 @@ def stiff(scene: Scene, algorithm: str) -> Outcome:
     weather = observation_weather(setup, 0)
     scale = STIFF / np.std(_mean_removed(one_layer(setup, 1.0), setup.observing.scans.n_scans))
     strong = replace(weather, b2=scale**2)
-    caches = {number: _in_float64(cache) for number, cache in setup.air.strips.caches.items()}
-    fine = replace(setup, air=replace(setup.air, strips=replace(setup.air.strips, caches=caches)))
+    layer = setup.air.layers[0]
+    caches = {number: _in_float64(cache) for number, cache in layer.strips.caches.items()}
+    finer = replace(layer, strips=replace(layer.strips, caches=caches))
+    fine = replace(setup, air=replace(setup.air, layers=(finer,)))
     left = []
     for one, dtype in ((setup, np.float32), (fine, np.float64)):
         data = np.zeros((setup.camera.n_det, len(pointing.scan)), dtype)
-        add_layer(one, 0, pointing, weather=strong, data=data)
+        add_layers(one, 0, pointing, weather=strong, data=data)
         data *= setup.camera.responsivity[:, None].astype(np.float32)
         add_white(data, 2 / RATE_HZ, RATE_HZ, normal_deviates(1, "stress"))
         left.append(_cleaned(algorithm, data, setup.camera.focal_plane).astype(float))

@@ -1,5 +1,6 @@
 """Running and comparing the points of a sweep: ratios with paired errors, and the probability of being the best."""
 
+import math
 import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -8,7 +9,7 @@ from time import perf_counter
 
 import numpy as np
 
-from mapmaker.uncertainty import student_factor
+from mapmaker.uncertainty import block_sums, student_factor
 from surveysim.forecasting.forecast import Forecast, forecast
 from surveysim.metrics.map_noise import Quantity
 from surveysim.reduction.cleaning_pipelines import ACTUAL
@@ -273,7 +274,9 @@ def _of_one_weather(items: list[DataSetScore], responses: list[Response]) -> lis
 def _scatter(item: DataSetScore, response: Response) -> float:
     if not (np.isfinite(response.noise).all() and response.noise.any()):
         return response.budget.weather
-    shares = item.shares(response.noise, response.exponent)
+    shares = block_sums(item.shares(response.noise, response.exponent), item.block)
+    if len(shares) < FEWEST_CONTROLLED:
+        return math.nan
     return float(np.std(shares, ddof=1) * len(shares) ** 0.5) * student_factor(len(shares))
 
 

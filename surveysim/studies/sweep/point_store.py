@@ -213,6 +213,7 @@ class _Set(Numbers):
     n_det: Annotated[int, Field(ge=1)]
     band: _Band
     budget: Budget
+    block: list[Annotated[int, Field(ge=0)]] | None = None
     control: _Control | None = None
     plain: _Band | None = None
 
@@ -286,6 +287,8 @@ def _check_arrays(result: PointResult, jackknives: int, skies: int) -> None:
     sizes |= dict.fromkeys(("weights", "control.weights"), (n_obs,))
     sizes |= dict.fromkeys(("bin_noise", "control.noise"), (n_obs, *n_bin))
     for name, item in result.scores.items():
+        if item.block is not None and (item.block.shape != (n_obs,) or set(np.diff(item.block, prepend=0)) - {0, 1}):
+            raise ValueError(f"{name}: its blocks are not those of {n_obs} observations")
         for key, array in _arrays(item).items():
             shapes = {sizes.get(key, tuple(n_bin))} if key != "kept" else {(), sizes["weights"]}
             if np.shape(array) not in shapes or np.asarray(array).dtype != float:
@@ -311,6 +314,8 @@ def _data_sets(scene: Scene) -> set[str]:
 
 def _numbers(item: DataSetScore) -> dict[str, Any]:
     found = {"kind": item.kind, "n_det": item.n_det, "band": _of(item.band, _OF_BAND), "budget": vars(item.budget)}
+    if item.block is not None:
+        found["block"] = item.block.tolist()
     if item.control is not None:
         found |= {"control": _of(item.control, _OF_CONTROL), "plain": _of(item.plain, _OF_BAND)}
     return found
@@ -351,5 +356,6 @@ def _score(file: Any, name: str, numbers: dict[str, Any]) -> DataSetScore:
         transfer_function=TransferFunction(**arrays("transfer_function.", _OF_TRANSFER)),
         control=Control(**numbers["control"], **arrays("control.", _OF_CONTROL)) if controlled else None,
         plain=BandPower(**numbers["plain"], **arrays("plain.", _OF_BAND)) if controlled else None,
+        block=np.array(numbers["block"]) if "block" in numbers else None,
         **arrays("", _OF_SET),
     )

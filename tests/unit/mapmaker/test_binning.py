@@ -34,10 +34,19 @@ def rng():
 
 def tracks(rng):
     """Boresight and detectors of which a part lies off a map of N_Y x N_X pixels."""
-    column, row = rng.uniform(-2, N_X + 2, N_SAMP), rng.uniform(-2, N_Y + 2, N_SAMP)
-    angle = rng.uniform(0, 2 * np.pi, N_SAMP)
+    place = np.empty((8, N_SAMP))
+    place[0], place[3] = rng.uniform(-2, N_X + 2, N_SAMP), rng.uniform(-2, N_Y + 2, N_SAMP)
+    place[[1, 2, 4, 5]] = rng.uniform(-1e3, 1e3, (4, N_SAMP))
+    place[6:] = rng.uniform(-300, 300, (2, N_SAMP))
+    place[6:, :5] = 1e4  # some detectors are behind the plane
     x, y = rng.uniform(-1e-3, 1e-3, (2, N_DET))
-    return column, row, np.cos(angle) / 1e-3, np.sin(angle) / 1e-3, x, y
+    return place, x, y
+
+
+def at_places(column, row):
+    """Places of one detector at the boresight, in an array that is parallel to the map and has its pixels as a unit."""
+    one, none = np.ones(len(column)), np.zeros(len(column))
+    return np.stack([column, one, none, row, none, one, none, none])
 
 
 def test_plane_pixels(rng):
@@ -52,8 +61,7 @@ def test_edges_of_the_map_and_undefined_pointing():
     """A pixel holds its lower edges and not its upper ones; just below 0 is off, not in pixel 0."""
     column = np.array([0.0, N_X, N_X - 1e-9, -1e-9, np.nan, 3.0, 3.0, np.inf])
     row = np.array([0.0, 1.0, N_Y - 1e-9, 1.0, 1.0, -1e-9, N_Y, 1.0])
-    none, one = np.zeros(1), np.ones(len(column))
-    index = plane_pixels(column, row, one, 0 * one, none, none, N_X, N_Y)
+    index = plane_pixels(at_places(column, row), np.zeros(1), np.zeros(1), N_X, N_Y)
     np.testing.assert_array_equal(index[0], [0, -1, N_X * N_Y - 1, -1, -1, -1, -1, -1])
 
 
@@ -124,8 +132,8 @@ def test_add_sky(rng, kind):
 def test_a_linear_sky_is_looked_up_exactly():
     row, column = np.indices((N_Y, N_X)).astype(float)
     c, r = np.array([0.0, 2.25, 7.9]), np.array([0.5, 5.75, 0.0])
-    data, one = np.zeros((1, 3)), np.ones(3)
-    add_sky(data, 2 * column - 3 * row, c, r, one, 0 * one, np.array([0.05]), np.array([0.1]), np.array([1.5]))
+    data = np.zeros((1, 3))
+    add_sky(data, 2 * column - 3 * row, at_places(c, r), np.array([0.05]), np.array([0.1]), np.array([1.5]))
     np.testing.assert_allclose(data[0], 1.5 * (2 * (c + 0.05) - 3 * (r + 0.1)), atol=1e-13)
 
 

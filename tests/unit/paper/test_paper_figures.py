@@ -150,7 +150,7 @@ def test_the_second_layer_is_seen_with_the_responsivities(setup, monkeypatch):
     streams = SimpleNamespace(data_mk=np.ones((setup.camera.n_det, 5), np.float32))
     monkeypatch.setattr(wind_figures, "draw_observation", lambda *_: streams)
     monkeypatch.setattr(wind_figures, "observation_weather", lambda *_: truth)
-    monkeypatch.setattr(wind_figures, "add_layer", layer)
+    monkeypatch.setattr(wind_figures, "add_layers", layer)
     monkeypatch.setattr(wind_figures, "replace", lambda record, **new: SimpleNamespace(**{**vars(record), **new}))
     monkeypatch.setattr(wind_figures, "measure", lambda _, data, number: SimpleNamespace(wind=(data.data_mk, number)))
     data, number = wind_figures.two_layers(setup, 1)

@@ -2,6 +2,7 @@
 
 import json
 import re
+import tomllib
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
 from surveysim.scene.units import BOLTZMANN_J_K, CMB_TEMPERATURE_K, PLANCK_J_S
 from tests.pages import read_page
-from tests.scenes import write_scene
+from tests.scenes import SCHEDULE, write_scene
 
 OFF = {"instrument.layout": None, "instrument.wafers": [{"rings": 2, "pitch_f_lambda": 0.7, "offset_x": "9 arcmin"}]}
 NEAR = {"instrument.layout": None, "instrument.wafers": [{"rings": 2, "pitch_f_lambda": 0.7, "offset_x": "1 arcmin"}]}
@@ -37,6 +38,8 @@ FILTER = {
     "instrument.efficiency": 0.4,
     "instrument.polarizations": 1,
 }
+NIGHTS = {f"schedule.{key}": value for key, value in tomllib.loads(SCHEDULE)["schedule"].items()}
+NIGHTS |= {"fixed_pointing": None, "observations": 48, "atmosphere.correlation_time": "2 h"}
 # The small scene: samples 24 arcsec apart, a beam of 60 and pixels of 30; scans of 24 arcmin, 9 arcmin across, a dither
 # of 2 arcmin, and an array of 2.67 arcmin.
 CASES = {
@@ -84,6 +87,11 @@ CASES = {
         {"dead_time": {"detectors": 0.1, "scans": 0.12}},
         {"dead_time": {"detectors": 0.1, "scans": 0.1}},
         "[dead_time]: 21 % of the samples are lost; more than 20 % are many.",
+    ),
+    "spells": (
+        NIGHTS | {"schedule.nights": 15},
+        NIGHTS | {"schedule.nights": 16},
+        "atmosphere.correlation_time: with 2 h the observations have 15 independent spells of weather. The error of",
     ),
     "boresight": (OFF, NEAR, "instrument: the middle of the array is 9 arcmin off the boresight, beyond its own half"),
 }

@@ -68,7 +68,7 @@ def test_errors_of_quartiles_are_those_of_so_many_draws():
     from surveysim.results.closure import _quartile
 
     draws = np.random.default_rng(1).standard_normal((200, 400)) + 10
-    items = [_quartile("x", "", 1, 10.0, sample) for sample in draws]
+    items = [_quartile("x", "", 1, 10.0, sample, 400) for sample in draws]
     expected = np.sqrt(np.pi / 2 / 400)
     assert np.mean([item.error for item in items]) == pytest.approx(expected, rel=0.15)
     assert np.std([item.found for item in items]) == pytest.approx(expected, rel=0.2)

@@ -68,3 +68,5 @@ def test_names_have_sequences_of_their_own():
     assert len({tuple(row) for row in draws}) == len(draws)
     assert generator(1, "one").random(4).tolist() == draws[0]
     assert generator(1, "one", block=1).random(4).tolist() != draws[0]
+    others = [generator(1, "one", **key).random(4).tolist() for key in ({"part": "x"}, {"part": "y"}, {"band": "x"})]
+    assert len({tuple(row) for row in (draws[0], *others)}) == 4

@@ -83,7 +83,7 @@ def test_months_of_a_schedule_are_drawn_and_forecast(dated):
 def test_months_at_a_fixed_pointing_are_all_year_s(path):
     setup = prepare(load_scene(path, BY_MONTH | {"observations": 200}))
     drawn = [observation_weather(setup, number).pwv_mm for number in range(200)]
-    assert setup.air.seasons is None and min(drawn) < 0.25 and max(drawn) > 1.1
+    assert setup.air.dated is None and min(drawn) < 0.25 and max(drawn) > 1.1
 
 
 @pytest.mark.parametrize("site", site_names())
@@ -94,7 +94,7 @@ def test_every_site_that_ships_can_be_observed_from(dated, site):
     changes = {"atmosphere.site": site, "instrument.bandwidth": 0.15, "field.dec": f"{dec:.3f} deg"}
     setup = prepare(load_scene(dated, changes))
     assert observing_site(setup.scene).height_m == place.height_m
-    assert bool(setup.air.seasons) == bool(setup.scene.atmosphere.pwv_by_month)
+    assert (setup.air.dated is not None) == bool(setup.scene.atmosphere.pwv_by_month)
 
 
 @pytest.mark.parametrize("site", site_names())

@@ -213,7 +213,7 @@ def test_float64_streams_and_maps_are_float64(path):
         assert draw_observation(setup, 0).data_mk.dtype == np.dtype(precision)
         found = observe(setup, 0, with_signal_sims=True)
         assert found.sums.dtype == found.signal_maps.dtype == np.dtype(precision)
-        made = [strip for cache in setup.air.strips.caches.values() for strip in cache.strips.values()]
+        made = [strip for cache in setup.air.layers[0].strips.caches.values() for strip in cache.strips.values()]
         assert {strip.columns.dtype for strip in made} == {np.dtype(precision)}
 
 

@@ -1,0 +1,101 @@
+"""Patterns that are curves about the centre of the field, cut into chunks of equal duration in place of scans.
+
+A curve has axes x and y in the tangent plane of the field: east and north, or, in the frame "horizon", along azimuth
+and along the vertical through the centre of the field. The horizon's axes turn with the parallactic angle of every
+sample. To first order in the offset, x is the offset in azimuth times the cosine of the elevation.
+"""
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from surveysim.scene.scan_figures import FigureScan
+from surveysim.telescope.horizon_frame import HorizonFrame, to_horizon
+from surveysim.telescope.scans import ScanPath, Scans, mid_times, samples_per_scan, timing
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figure(Scans):
+    """Base of the curves.
+
+    Attributes
+    ----------
+    horizon
+        Whether the axes are those of the horizon.
+    angle_rad, angle_step_rad
+        Angle by which the first observation's curve is turned from x to y, and that between observations.
+    """
+
+    horizon: bool
+    angle_rad: float
+    angle_step_rad: float
+
+    @abstractmethod
+    def curve(self, time_s: np.ndarray) -> np.ndarray:
+        """Compute the offsets (2, n) along x and y [rad] at times (n,) since the start of an observation."""
+
+    @abstractmethod
+    def extent_rad(self) -> float:
+        """Compute the largest offset from the centre along either axis of the sky, in any observation [rad]."""
+
+    def box_extent_rad(self, half_x_rad: float, half_y_rad: float) -> float:
+        """Compute the extent of a box about the centre, with half sides along x and y."""
+        if self.horizon or self.angle_step_rad:
+            return float(np.hypot(half_x_rad, half_y_rad))
+        cos, sin = abs(np.cos(self.angle_rad)), abs(np.sin(self.angle_rad))
+        return float(max(half_x_rad * cos + half_y_rad * sin, half_x_rad * sin + half_y_rad * cos))
+
+
+def figure_keys(section: FigureScan) -> dict[str, Any]:
+    """Return the arguments that figures of a section [scan] have in common."""
+    return {
+        **timing(section),
+        "horizon": section.frame == "horizon",
+        "angle_rad": section.angle_rad,
+        "angle_step_rad": section.angle_step_rad,
+    }
+
+
+def figure_extent(figure: Figure) -> float:
+    """Compute the largest offset from the centre along either axis of the sky, in any observation [rad]."""
+    return figure.extent_rad()
+
+
+def figure_path(figure: Figure, observation: int, dither: np.ndarray, frame: HorizonFrame | None) -> ScanPath:
+    """Compute the boresight path of the observation with a number.
+
+    Samples are at the middle of sampling intervals, symmetric about the middle of a chunk, as those of scans.
+    """
+    n, mid_s = samples_per_scan(figure), mid_times(figure)
+    from_mid_s = (np.arange(n) + 0.5 - n / 2) / figure.sample_rate_hz
+    half_s = figure.scan_s / 2
+    time_s = np.concatenate([(mid_s[:, None] + from_mid_s).ravel(), mid_s - half_s, mid_s + half_s])
+    offsets = _on_sky(figure, observation, time_s, frame)
+    n_samp, n_scan = n * figure.n_scans, figure.n_scans
+    travel = offsets[:, n_samp + n_scan :] - offsets[:, n_samp : n_samp + n_scan]
+    xi, eta = offsets[:, :n_samp] + np.asarray(dither)[:, None]
+    return ScanPath(
+        time_s=time_s[:n_samp],
+        xi_rad=xi,
+        eta_rad=eta,
+        scan=np.repeat(np.arange(n_scan), n),
+        velocity_rad_s=travel.T / figure.scan_s,
+        mid_time_s=mid_s,
+        straight=False,
+    )
+
+
+def _on_sky(figure: Figure, observation: int, time_s: np.ndarray, frame: HorizonFrame | None) -> np.ndarray:
+    """Compute the curve in the tangent plane, (2, n) along xi and eta."""
+    x, y = figure.curve(time_s)
+    angle = figure.angle_rad + observation * figure.angle_step_rad
+    x, y = x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)
+    if not figure.horizon:
+        return np.stack([x, y])
+    assert frame is not None, "a pattern in the frame of the horizon needs a schedule"
+    centre = np.zeros_like(time_s)
+    vertical = to_horizon(frame, time_s, centre, centre)[2]
+    # Azimuth increases to the west of the vertical's position angle: as `surveysim.telescope.pointing.sky_vector`.
+    return np.stack([-x * np.cos(vertical) + y * np.sin(vertical), x * np.sin(vertical) + y * np.cos(vertical)])
