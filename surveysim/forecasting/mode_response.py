@@ -43,7 +43,7 @@ PROJECTIONS = {
 
 _NODES = 10  # quadrature nodes in each eighth of a turn
 _RADII, _AZIMUTHS = 32, 16  # of the layer's wavevectors
-_SHIFT_EDGES = np.array([0, 0.3, 0.75, 1.75, 4.75, 16.75])  # between parts of the evolution's spectrum [cycles]
+_SHIFT_EDGES = np.array([0, 0.25, 0.5, 1.25, 4.25, 16.25])  # between parts of the evolution's spectrum [cycles]
 
 
 @dataclass(frozen=True)
@@ -264,8 +264,8 @@ def evolution_shifts(time_s: float | None) -> tuple[np.ndarray, np.ndarray]:
     cycles = np.linspace(0, _SHIFT_EDGES[-1], 8001)[1:] - _SHIFT_EDGES[-1] / 16_000
     density = (np.cos(2 * np.pi * cycles) / (1 - 16 * cycles**2)) ** 2
     part = np.digitize(cycles, _SHIFT_EDGES) - 1
-    share, moment = (np.bincount(part, weight) for weight in (density, density * cycles))
-    shift = moment / share / time_s
+    share, moment = (np.bincount(part, weight) for weight in (density, density * cycles**2))
+    shift = np.sqrt(moment / share) / time_s
     return np.concatenate([-shift, shift]), np.tile(share / share.sum() / 2, 2)
 
 
