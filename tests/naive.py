@@ -195,6 +195,13 @@ def add_screen_cubic(data, start, stop, strip, x0, y0, dx, amplitude):
                     data[d, start + n] += amplitude * u * v * strip[j, i]
 
 
+def add_curved(look_up, data, start, stop, strip, x, y, cosine, sine, amplitude, u, v):
+    """Look-up, by one of the functions above, of single samples: offsets turn as complex numbers, mirrored."""
+    for n in range(stop - start):
+        place = x[n] + 1j * y[n] + (cosine[n] - 1j * sine[n]) * (u - 1j * v)
+        look_up(data, start + n, start + n + 1, strip, place.real, place.imag, 0.0, amplitude[n])
+
+
 def cubic_weights(p, size):
     """Four points (number, weight) of Lagrange's polynomial at p among the points 0 to size - 1."""
     first = min(max(int(np.floor(p)) - 1, 0), size - 4)

@@ -40,7 +40,7 @@ def test_a_pattern_is_observed_mapped_and_forecast_by_its_row_alone(scene, monke
         SCAN_PATTERNS[0],
         name="circle",
         path=circle,
-        extent_rad=lambda scans: scans.speed_rad_s * scans.scan_s / (2 * np.pi),
+        extent_rad=lambda scans, lowest_rad: scans.speed_rad_s * scans.scan_s / (2 * np.pi),
     )
     monkeypatch.setattr(scan_pattern, "SCAN_PATTERNS", (row,))
     preparation.prepare.cache_clear()
@@ -48,7 +48,7 @@ def test_a_pattern_is_observed_mapped_and_forecast_by_its_row_alone(scene, monke
     preparation.prepare.cache_clear()
     path, pointing = observation_path(setup.observing, 1)
     radius = np.hypot(pointing.xi_rad - path.xi_rad.mean(), pointing.eta_rad - path.eta_rad.mean())
-    np.testing.assert_allclose(radius, row.extent_rad(setup.observing.scans))
+    np.testing.assert_allclose(radius, row.extent_rad(setup.observing.scans, 0.5))
     assert setup.analysis.geometry.n_x < raster.analysis.geometry.n_x
     hits = observe(setup, 1, False).hits[0]
     assert hits.sum() == setup.camera.n_det * len(path.time_s)
