@@ -31,8 +31,8 @@ from surveysim.reduction.consistency import (
 )
 from surveysim.reduction.curved_tracks import curved_motions
 from surveysim.reduction.detector_weights import beams_of, detector_weights
-from surveysim.reduction.mount_check import check_mount
 from surveysim.reduction.layer_checks import check_changes
+from surveysim.reduction.mount_check import check_mount
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
 from surveysim.reduction.response_checks import check_response
 from surveysim.reduction.scored_region import padded_side, patch_side
