@@ -31,6 +31,7 @@ from surveysim.reduction.consistency import (
 )
 from surveysim.reduction.curved_tracks import curved_motions
 from surveysim.reduction.detector_weights import beams_of, detector_weights
+from surveysim.reduction.layer_checks import check_changes
 from surveysim.reduction.mount_check import check_mount
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
 from surveysim.reduction.response_checks import check_response
@@ -217,6 +218,7 @@ def _prepare(scene: Scene) -> Setup:
     check_healpix(scene)
     check_excess(scene)
     check_response(scene)
+    check_changes(scene)
     check_sky(scene, common.sky_geometry)
     scene_pipelines = pipelines(scene.cleaning, masked)
     _check_blocks(scene, common, scene_pipelines)

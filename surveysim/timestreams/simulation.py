@@ -300,16 +300,20 @@ def horizon_frame(observing: ObservingSetup, observation: int) -> HorizonFrame |
     return HorizonFrame(field_centre(scene), observing_site(scene), float(observing.angles.start_mjd[observation]))
 
 
+def boresight_path(observing: ObservingSetup, observation: int) -> ScanPath:
+    """Compute the scan pattern of one observation, dithered."""
+    dither = drawn_offsets(observing, observation)[0] * observing.scans.dither_rad
+    return observing.pattern.path(observing.scans, observation, dither, horizon_frame(observing, observation))
+
+
 def observation_path(observing: ObservingSetup, observation: int) -> tuple[ScanPath, Pointing]:
     """Point one observation: the scan pattern, dithered, and the camera, turned."""
-    offsets, turn = drawn_offsets(observing, observation)
-    frame, angles = horizon_frame(observing, observation), observing.angles
-    path = observing.pattern.path(observing.scans, observation, offsets * observing.scans.dither_rad, frame)
+    path, angles = boresight_path(observing, observation), observing.angles
     pointing = observation_pointing(
         path,
-        frame,
+        horizon_frame(observing, observation),
         elevation_rad=angles.elevation_rad[observation],
         parallactic_rad=angles.parallactic_rad[observation],
-        camera_angle_rad=turn,
+        camera_angle_rad=drawn_offsets(observing, observation)[1],
     )
     return path, pointing

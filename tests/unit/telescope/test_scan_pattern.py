@@ -34,7 +34,7 @@ def scene(tmp_path):
     return load_scene(path)
 
 
-def test_a_pattern_is_observed_mapped_and_not_forecast_by_its_row_alone(scene, monkeypatch):
+def test_a_pattern_is_observed_mapped_and_forecast_by_its_row_alone(scene, monkeypatch):
     raster = preparation.prepare(scene)
     row = replace(
         SCAN_PATTERNS[0],
@@ -52,5 +52,4 @@ def test_a_pattern_is_observed_mapped_and_not_forecast_by_its_row_alone(scene, m
     assert setup.analysis.geometry.n_x < raster.analysis.geometry.n_x
     hits = observe(setup, 1, False).hits[0]
     assert hits.sum() == setup.camera.n_det * len(path.time_s)
-    assert why_no_forecast(raster) is None
-    assert why_no_forecast(setup) == "scan: found 'circle', a pattern without a closed form"
+    assert why_no_forecast(raster) is None and why_no_forecast(setup) is None
