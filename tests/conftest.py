@@ -3,16 +3,25 @@
 import gc
 import os
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 from threadpoolctl import threadpool_limits
 
+from tests.entry import READERS_PATH
+
+ROOT = Path(__file__).parents[1]
 KEPT = 24  # scenes; a run keeps one
 CLOSED_FORMS = {  # in the order of their imports, as each module imports the functions of those before
     "surveysim.forecasting.observing_conditions": "population_conditions",
     "surveysim.forecasting.noise_model": "survey_models",
     "surveysim.results.control_variate": "expectations",
 }
+
+
+def pytest_configure():
+    """Let commands of the tests run the code of this tree, with its compiled kernels, and not an installed one."""
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), READERS_PATH]))
 
 
 def pytest_sessionstart(session):

@@ -13,6 +13,8 @@ from tempfile import TemporaryFile
 
 from markdown_it import MarkdownIt
 
+from tests.entry import READERS_PATH
+
 ROOT = Path(__file__).parent.parent.parent
 README = ROOT / "README.md"
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
@@ -44,7 +46,7 @@ def blocks(path: Path) -> list[Block]:
 
 
 def follow(page: list[Block], folder: Path) -> None:
-    """Do in an empty folder what a page says; AssertionError names the block that fails.
+    """Do in an empty folder what a page says, with the installed program; AssertionError names the block that fails.
 
     The folder becomes a copy of what a reader has: the scenes, and the program where the page changes it. Text after
     commands is what they print, or lines of it.
@@ -108,7 +110,7 @@ def _name(section: str) -> str:
 
 def _run(block: Block, command: list[str], folder: Path, edited: bool, given: str | None = None) -> str:
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    environment = os.environ | {"PATH": path} | ({"PYTHONPATH": str(folder)} if edited else {})
+    environment = os.environ | {"PATH": path, "PYTHONPATH": str(folder) if edited else READERS_PATH}
     with TemporaryFile("w+") as text, TemporaryFile("w+") as out, TemporaryFile("w+") as errors:
         text.write(given or "")
         text.seek(0)

@@ -39,8 +39,9 @@ def test_wrong_choices(call, scene, arguments, words):
     assert words in refused(call, scene, *arguments)
 
 
-def test_a_scheduler_that_is_not_there_costs_nothing(call, scene):
+def test_a_scheduler_that_is_not_there_costs_nothing(call, scene, monkeypatch):
     """Neither the time of a run nor the results of an earlier one; a wrong address is the user's error."""
+    monkeypatch.setattr("surveysim.runtime.dask_scheduler.CONNECT_S", 0.5)
     out = scene.parent / "out"
     assert call("run", scene, "--out", out, "--engine", "serial", "--no-figures", "-q")[0] == 0
     before = {name: (out / name).read_bytes() for name in files(out) if (out / name).is_file()}
