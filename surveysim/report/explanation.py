@@ -88,11 +88,12 @@ def _titles(content: Content) -> Column:
 
 
 def _paper(content: Content) -> Column:
-    cells = tuple(_published(*item["paper"], _known(item["paper_error"])) for item in content["findings"])
+    cells = tuple(_published(item["paper"], _known(item["paper_error"])) for item in content["findings"])
     return Column("paper", cells, heading="paper", cells=cells)
 
 
-def _published(low: float, high: float, error: float) -> str:
+def _published(ends: tuple[float, float], error: float) -> str:
+    low, high = ends
     if low < high:
         return f"{short(low)} to {short(high)}"
     return with_error(low, error) if error == error else short(low)
