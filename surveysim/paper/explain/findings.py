@@ -47,25 +47,28 @@ def findings() -> tuple[Finding, ...]:
     half, count = published()["share_of_good_winds"], index["observations"]
     slope, slope_error = paper_slope()
     raw, raw_error = (published()["table2"][name][-1] for name in ("raw_atmosphere", "raw_atmosphere_error"))
-    ratio, removed = cleaning["higher_order_template_psd_ratio"], cleaning["point_source_flux_removed"]
-    change = published()["b2_change_over_heights"]
+    removed = cleaning["point_source_flux_removed"]
+    ratio, change = 2 * (cleaning["higher_order_template_psd_ratio"],), 2 * (published()["b2_change_over_heights"],)
     least, most = cleaning["modes_removed_by_pca"]
     better, poorer = partial(of_half, trusted, 0), partial(of_half, trusted, 1)
     return (
-        _number("winds_trusted", "winds trusted", half, trusted),
-        Finding("winds_trusted_better", "winds trusted, better half of B2", (half, 1.0), UNKNOWN, better),
-        Finding("winds_trusted_poorer", "winds trusted, poorer half of B2", (0.0, half), UNKNOWN, poorer),
+        _share("winds_trusted", "winds trusted [%]", (half, half), trusted),
+        _share("winds_trusted_better", "winds trusted, better half of B2 [%]", (half, 1.0), better),
+        _share("winds_trusted_poorer", "winds trusted, poorer half of B2 [%]", (0.0, half), poorer),
         _number("index_mean", "index b, mean", index["mean"], _mean("fitted_index"), index["std"] / count**0.5),
         _number("index_std", "index b, scatter", index["std"], _index_std, index["std"] / (2 * count) ** 0.5),
         _number("raw_exponent", "raw noise against B2, exponent", slope, _raw_exponent, slope_error),
         _number("raw_median", "raw noise, median [mK2]", raw, _median("raw_mk2"), raw_error),
-        _number("templates_low", "higher over zeroth templates, to 0.5 Hz", ratio, _median("template_ratio_low")),
-        _number("templates_all", "higher over zeroth templates, to 5 Hz", ratio, _median("template_ratio_all")),
-        _number("pca_best", "PCA best for a CMB spectrum", 0.0, partial(_best, "cmb", "pca")),
+        _share("templates_low", "higher over zeroth templates, to 0.5 Hz [%]", ratio, _median("template_ratio_low")),
+        _share("templates_all", "higher over zeroth templates, to 5 Hz [%]", ratio, _median("template_ratio_all")),
+        _share("pca_best", "PCA best for a CMB spectrum [%]", (0.0, 0.0), partial(_best, "cmb", "pca")),
         Finding("pca_modes", "modes removed by PCA", (least, most), UNKNOWN, _mean("pca_modes")),
-        _number("height_change", "B2 change with assumed height", change, _height_change),
-        _number("height_change_limited", "the same, model maps of 465 arcmin", change, _limited_height_change),
-        *(_number(f"flux_{x}", f"flux removed, {x}", removed[x], _mean(f"flux_removed_{x}")) for x in CLEANINGS),
+        _share("height_change", "B2 change with assumed height [%]", change, _height_change),
+        _share("height_change_limited", "the same, model maps of 465 arcmin [%]", change, _limited_height_change),
+        *(
+            _share(f"flux_{x}", f"flux removed, {x} [%]", 2 * (removed[x],), _mean(f"flux_removed_{x}"))
+            for x in CLEANINGS
+        ),
     )
 
 
@@ -73,6 +76,12 @@ def _number(
     name: str, title: str, paper: float, statistic: Callable[[Values], float], paper_error: float = UNKNOWN
 ) -> Finding:
     return Finding(name, title, (paper, paper), paper_error, statistic)
+
+
+def _share(name: str, title: str, paper: tuple[float, float], statistic: Callable[[Values], float]) -> Finding:
+    """Finding in percent, of a fraction and its published range."""
+    low, high = paper
+    return Finding(name, title, (100 * low, 100 * high), UNKNOWN, lambda values: 100 * statistic(values))
 
 
 def bootstrapped(finding: Finding, values: Values) -> np.ndarray:

@@ -60,19 +60,19 @@ def test_exponent_of_raw_noise():
 def test_winds_of_both_halves():
     wind = np.where(np.arange(64) < 48, "trusted", "more than one layer")
     told = {name: finding(f"winds_trusted{name}").statistic(values(wind=wind)) for name in ("", "_better", "_poorer")}
-    assert told == {"": 0.75, "_better": 1.0, "_poorer": 0.5}
+    assert told == {"": 75, "_better": 100, "_poorer": 50}
 
 
 def test_best_cleaning():
     merits = {f"merit_cmb_{name}": np.full(64, float(place)) for place, name in enumerate(CLEANINGS)}
     merits["merit_cmb_average"] = np.where(np.arange(64) < 16, 9.0, 0.0)
-    assert finding("pca_best").statistic(values(**merits)) == 0.75
+    assert finding("pca_best").statistic(values(**merits)) == 75
 
 
 def test_change_of_b2_with_the_height():
     b2 = values()["fitted_b2"]
     ends = {"lowest_layer_b2": 1.2 * b2, "highest_layer_b2": 0.9 * b2}
-    assert finding("height_change").statistic(values(**ends)) == pytest.approx(0.15)
+    assert finding("height_change").statistic(values(**ends)) == pytest.approx(15)
 
 
 def test_template_ratios_of_known_templates():
