@@ -195,6 +195,13 @@ def add_screen_cubic(data, start, stop, strip, x0, y0, dx, amplitude):
                     data[d, start + n] += amplitude * u * v * strip[j, i]
 
 
+def add_curved(look_up, data, start, stop, strip, x, y, cosine, sine, amplitude, u, v):
+    """Look-up, by one of the functions above, of single samples: offsets turn as complex numbers, mirrored."""
+    for n in range(stop - start):
+        place = x[n] + 1j * y[n] + (cosine[n] - 1j * sine[n]) * (u - 1j * v)
+        look_up(data, start + n, start + n + 1, strip, place.real, place.imag, 0.0, amplitude[n])
+
+
 def cubic_weights(p, size):
     """Four points (number, weight) of Lagrange's polynomial at p among the points 0 to size - 1."""
     first = min(max(int(np.floor(p)) - 1, 0), size - 4)
@@ -334,7 +341,7 @@ def gls_map(scans, n_pixel):
     return np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ right
 
 
-def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, share, own, lost):
+def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, loose, share, own, lost):
     """Sum over the streams' frequencies of what an apodization lets through, with w looked up between its steps."""
 
     def w(frequency_hz):
@@ -345,6 +352,8 @@ def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, shar
         row = strength[k] if len(strength) > 1 else strength[0]
         for a in range(len(frequency)):
             value = w(at[k] - frequency[a]) - mean[a] * w(at[k])
+            averaged = 2 * loose[a] * mean[a] * w(at[k] - frequency[a]) * w(at[k])
+            total[:, k] += averaged * row[a] * power[:, a]
             total[:, k] += (1 - sum(share)) * value**2 * row[a] * power[:, a]
             for j in range(len(share)):
                 total[:, k] += share[j] * (value - lost[j, a] * own[k, j]) ** 2 * row[a] * power[:, a]

@@ -8,11 +8,12 @@ unit length (kappa in cycles per metre), has in angles on the sky the two-dimens
 since waves along the line of sight cancel where the layer is thick in their units, and kappa = alpha / h. So a profile
 c(h) has B2 in proportion to c(h) h^(b - 2) dh. For the exponential profile the density of the vapour falls as
 exp(-h / H); fluctuations are in proportion to the density, so c is in proportion to exp(-2 h / H). The layers of a
-profile are at the nodes of the Gauss-Laguerre quadrature with this weight, with its weights as shares.
+profile are at the nodes x of the Gauss-Laguerre quadrature in x = 2 h / H, with shares in proportion to its weights
+times x^(b - 2).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from surveysim.runtime.errors import OutOfRangeError, SceneError
@@ -93,10 +94,11 @@ def _one(height_m: float, share: float) -> LayerSection:
 
 def _profile(air: Atmosphere) -> tuple[LayerSection, ...]:
     """Layers of an exponential profile."""
-    from scipy.special import roots_genlaguerre
+    from scipy.special import roots_laguerre
 
-    node, weight = roots_genlaguerre(air.profile_layers or _PROFILE_LAYERS, air.spectral_index - 2)
-    heights, shares = node * air.water_scale_height_m / 2, weight / weight.sum()
+    node, weight = roots_laguerre(air.profile_layers or _PROFILE_LAYERS)
+    strength = weight * node ** (air.spectral_index - 2)
+    heights, shares = node * air.water_scale_height_m / 2, strength / strength.sum()
     if heights[0] < air.illuminated_aperture_m:
         raise SceneError(
             f"atmosphere.profile_layers: found {len(heights)}, the lowest at {heights[0]:.3g} m, below the width of the"
@@ -126,6 +128,16 @@ def layer_screen(air: Atmosphere, layer: LayerSection) -> "Screen":
         return Screen(layer.spectral_index, air.illuminated_aperture_m / layer.height_m, outer)
     except OutOfRangeError as error:
         raise SceneError(f"atmosphere: {error}") from None
+
+
+def dominant_wind(air: Atmosphere, weather: "Weather") -> "Weather":
+    """Weather with the wind of the layer with the largest share of B2, in place of the drawn one."""
+    layer = dominant_layer(air)
+    return replace(
+        weather,
+        wind_speed_rad_s=weather.wind_speed_rad_s * wind_factor(air, layer),
+        wind_angle_rad=weather.wind_angle_rad + layer.wind_turn_rad,
+    )
 
 
 def dominant_layer(air: Atmosphere) -> LayerSection:

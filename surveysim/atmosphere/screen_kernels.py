@@ -5,7 +5,7 @@ import numpy as np
 from mapmaker.kernels.compiled import njit
 
 # Samples of a detector whose places are computed before the look-up: loops without look-ups are vector instructions.
-_AT_ONCE = 512
+AT_ONCE = 512
 
 
 @njit(cache=True, nogil=True)
@@ -82,7 +82,7 @@ def add_screen(data, start, stop, strip, x0, y0, dx, amplitude):
     n_lane, n_x = strip.shape
     n_samp = stop - start
     row = np.empty(n_x + 1, strip.dtype)
-    cell, part = np.empty(_AT_ONCE, np.int32), np.empty(_AT_ONCE, strip.dtype)
+    cell, part = np.empty(AT_ONCE, np.int32), np.empty(AT_ONCE, strip.dtype)
     for d in range(data.shape[0]):
         last = x0[d] + (n_samp - 1) * dx
         lane = min(int(y0[d]), n_lane - 2)
@@ -96,8 +96,8 @@ def add_screen(data, start, stop, strip, x0, y0, dx, amplitude):
         # A last sample that rounds up to the end has zero weight here.
         row[n_cell] = row[n_cell - 1]
         x_first = x0[d] - first
-        for begin in range(0, n_samp, _AT_ONCE):
-            samples = data[d, start + begin : min(start + begin + _AT_ONCE, stop)]
+        for begin in range(0, n_samp, AT_ONCE):
+            samples = data[d, start + begin : min(start + begin + AT_ONCE, stop)]
             for n in range(samples.size):
                 x = x_first + (begin + n) * dx
                 cell[n] = np.int32(x)
@@ -133,7 +133,7 @@ def add_screen_cubic(data, start, stop, strip, x0, y0, dx, amplitude):
     weight = np.empty(4, strip.dtype)
     for d in range(data.shape[0]):
         lane = min(max(int(y0[d]) - 1, 0), n_lane - 4)
-        _cubic_weights(y0[d] - lane, weight)
+        cubic_weights(y0[d] - lane, weight)
         first = min(max(int(x0[d]) - 1, 0), n_x - 4)
         beyond = min(int(x0[d] + (stop - start - 1) * dx) + 3, n_x)
         for m in range(first, max(beyond, first + 4)):
@@ -142,13 +142,13 @@ def add_screen_cubic(data, start, stop, strip, x0, y0, dx, amplitude):
         for n in range(stop - start):
             x = x0[d] + n * dx
             m = min(max(int(x) - 1, 0), n_x - 4)
-            _cubic_weights(x - m, weight)
+            cubic_weights(x - m, weight)
             value = weight[0] * row[m] + weight[1] * row[m + 1] + weight[2] * row[m + 2] + weight[3] * row[m + 3]
             data[d, start + n] += strip.dtype.type(amplitude) * value
 
 
 @njit(cache=True, nogil=True)
-def _cubic_weights(x, weight):
+def cubic_weights(x, weight):
     """Write the Lagrange weights (4,) of the values at 0, 1, 2 and 3 for the position x; exact for cubics."""
     a, b, c, d = x, x - 1.0, x - 2.0, x - 3.0
     weight[0] = -b * c * d / 6.0

@@ -5,7 +5,7 @@ In the frame of the moving layer all detectors of a scan at constant velocity fo
 `surveysim.atmosphere.scan_trends` conditions them on the trends that scans share.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from itertools import accumulate
 from math import ceil, log2, radians
@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mapmaker.chunks import row_chunks
-from surveysim.atmosphere.strip_factors import Strip, build_strip, lanes, points_along
+from surveysim.atmosphere.strip_factors import Strip, build_strip, factorize_dense, lanes, points_along
 from surveysim.atmosphere.thin_screen import Screen, at_elevation
+from surveysim.atmosphere.wide_strips import across_modes, factorize_wide
 from surveysim.runtime.rng import NormalDeviates
 
 if TYPE_CHECKING:
@@ -25,6 +26,10 @@ _STEP_MAX_RAD = radians(40.0 / 3600.0)
 _STEPS_PER_BEAM, _FEWEST_STEPS_PER_BEAM, _STEPS_PER_PAIR = 14, 4, 8
 # Classes of elevations in each factor of two of 1 / sin(el).
 _SLANTS = 4
+# Classes of widths of rectangles in each factor of two.
+_WIDTHS = 4
+# Most lanes of rectangles for curved tracks that need no Fourier transform across.
+_DENSE_LANES = 48
 # Names of the kernels that look strips up, by `numerics.interpolation`.
 LOOK_UPS = {"nearest": "add_screen_nearest", "linear": "add_screen", "cubic": "add_screen_cubic"}
 
@@ -44,6 +49,8 @@ class StripCache:
         A key of `LOOK_UPS`.
     precision
         "float32" or "float64".
+    wide
+        Whether the strips are rectangles for curved tracks: those of many lanes have Fourier transforms across.
     strips
         Strips by number of points along them.
     """
@@ -53,6 +60,7 @@ class StripCache:
     step_rad: float
     interpolation: str = "linear"
     precision: str = "float32"
+    wide: bool = False
     strips: dict = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -64,6 +72,11 @@ class StripCache:
     def strip_half_width_rad(self) -> float:
         """Largest distance of a track from the middle of the strips [rad]."""
         return 0.5 * (self.n_lane - 1) * self.step_rad
+
+    @property
+    def factorize(self) -> Callable[..., Strip]:
+        """Function that builds a strip of a given size."""
+        return factorize_wide if self.wide and self.n_lane > _DENSE_LANES else factorize_dense
 
     @property
     def _fewest_lanes(self) -> int:
@@ -80,6 +93,7 @@ class StripCache:
                 step_rad=self.step_rad,
                 precision=self.precision,
                 fewest_lanes=self._fewest_lanes,
+                factorize=self.factorize,
             )
         return self.strips[n_x]
 
@@ -91,7 +105,8 @@ class SlantStrips:
     The distance of a layer at the height h is h / sin(el), so on the sky it is a smaller copy of the layer at the
     zenith, including beam and outer scale. With angles over sin(el), strips of the screen at the zenith serve all
     elevations; they are wider by 1 / sin(el), with a coarser lattice by the same factor. Elevations are sorted into
-    classes of 19 % in 1 / sin(el), which use the strips of their lowest elevation.
+    classes of 19 % in 1 / sin(el), which use the strips of their lowest elevation. Rectangles that hold curved tracks
+    are sorted into classes of 19 % in width; those of straight scans are as wide as the focal plane.
 
     Attributes
     ----------
@@ -104,7 +119,7 @@ class SlantStrips:
     interpolation, precision
         As in `StripCache`.
     caches
-        Strips by class of elevation.
+        Strips by classes of elevation and width.
     """
 
     screen: Screen
@@ -119,16 +134,22 @@ class SlantStrips:
         """Free the strips; they are built again when they are asked for."""
         self.caches.clear()
 
-    def at(self, sine: float) -> StripCache:
-        """`StripCache` for the lowest elevation of an observation, given by its sine."""
+    def at(self, sine: float, half_width_rad: float = 0.0) -> StripCache:
+        """`StripCache` for the lowest elevation of an observation, given by its sine.
+
+        `half_width_rad` is the largest distance of a track from the middle of its rectangle, in angles over sin(el).
+        """
         number = ceil(-_SLANTS * log2(sine) - 1e-9)
-        if number not in self.caches:
-            slant = 2.0 ** (number / _SLANTS)
-            step = self.scale * strip_step(at_elevation(self.screen, 1.0 / slant), self.closest_rad) * slant
-            self.caches[number] = StripCache(
-                self.screen, self.half_width_rad * slant, step, self.interpolation, self.precision
+        slant = 2.0 ** (number / _SLANTS)
+        step = self.scale * strip_step(at_elevation(self.screen, 1.0 / slant), self.closest_rad) * slant
+        narrow = max(self.half_width_rad * slant, 0.5 * step)
+        wider = max(0, ceil(_WIDTHS * log2(half_width_rad / narrow) - 1e-9)) if half_width_rad > narrow else 0
+        if (number, wider) not in self.caches:
+            half_width = narrow * 2.0 ** (wider / _WIDTHS) if wider else self.half_width_rad * slant
+            self.caches[number, wider] = StripCache(
+                self.screen, half_width, step, self.interpolation, self.precision, wide=wider > 0
             )
-        return self.caches[number]
+        return self.caches[number, wider]
 
 
 def strip_step(screen: Screen, closest_rad: float) -> float:
@@ -173,6 +194,9 @@ def draw_strips(strip: Strip, deviates: NormalDeviates, first: Sequence[int]) ->
     real = strip.columns.dtype
     modes = np.empty((len(first), strip.n_lane, len(strip.start) - 1), np.result_type(real, np.complex64))
     combine_columns(strip.columns, strip.start, normals, modes)
+    if strip.n_across:
+        above = normals[:, 2 * len(strip.columns) : -1]
+        modes = np.concatenate([modes, across_modes(strip, above)], axis=2)
     # The inverse transform sets higher modes to zero, and uses only the real parts of the real modes.
     layers = irfft(modes, n=strip.n_x, axis=-1, overwrite_x=True)
     slopes = (normals[:, -1] * strip.ramp_std * strip.step_rad).astype(real)
@@ -323,7 +347,7 @@ def add_along_tracks(
     step = strips.step_rad
     steps = (np.hypot(*tracks.motion_rad_s.T) / (sample_rate_hz * step)).tolist()
     x, y = tracks.x_rad / step, np.minimum(tracks.y_rad / step, strips.n_lane - 1.0)
-    for strip, scans, first in _alike(strips, tracks.length_rad):
+    for strip, scans, first in alike_strips(strips, tracks.length_rad):
         layers = draw_strips(strip, deviates, first)
         if trends is not None:
             trends.impose(scans, layers)
@@ -343,8 +367,8 @@ def centred(layer: np.ndarray, end: float) -> np.ndarray:
     return layer
 
 
-def _alike(strips: StripCache, length_rad: np.ndarray) -> Iterator[tuple[Strip, list[int], list[int]]]:
-    """Scans that have strips of one size, as many as fit in a chunk, and their first deviates."""
+def alike_strips(strips: StripCache, length_rad: np.ndarray) -> Iterator[tuple[Strip, list[int], list[int]]]:
+    """Yield scans that have strips of one size, as many as fit in a chunk, and their first deviates."""
     of_scans = [strips.strip_for(length) for length in length_rad.tolist()]
     first = list(accumulate((strip.n_deviates for strip in of_scans), initial=0))
     for n_x in dict.fromkeys(strip.n_x for strip in of_scans):

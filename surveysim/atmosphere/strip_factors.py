@@ -19,7 +19,8 @@ contrasts between lanes only, so the constant is projected out: it does not matt
 removed.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from math import ceil, log2, pi
 
 import numpy as np
@@ -29,25 +30,28 @@ from surveysim.atmosphere.thin_screen import LAG_MAX, Screen, structure_function
 from surveysim.runtime.errors import OutOfRangeError
 
 # Fraction of half a period that is changed to make the seam smooth, and the number of even powers fitted there.
-_SEAM = 0.25
+SEAM = 0.25
 _SEAM_TERMS = 4
 # Modes that contribute less than the first fraction to the differences between lattice neighbours are omitted; all
 # omitted modes, of which long strips have many, contribute at most the second.
-_NEGLIGIBLE, _NEGLIGIBLE_SUM = 1e-9, 1e-3
+_NEGLIGIBLE, NEGLIGIBLE_SUM = 1e-9, 1e-3
 # Negative power acts as roughness: it hardly changes the structure function, but a fraction of 2e-4 raises the residual
 # of a quadratic in the field of view by 7 % at 1000 m, and 7e-4 by 40 % at 375 m. For the same reason the spline of the
 # structure function must be as smooth.
-_CLIPPED_MAX = 1e-5
+CLIPPED_MAX = 1e-5
 # Elements of a vector instruction in single precision.
 _VECTOR = 8
 _N_X_MIN, N_X_MAX = 32, 2**17
 # Largest numbers of lattice points and of elements in all matrices: a few gigabytes.
-_MOST_POINTS, _MOST_ELEMENTS = 2**24, 10**8
+MOST_POINTS, _MOST_ELEMENTS = 2**24, 10**8
 
 
 @dataclass(frozen=True)
 class Strip:
     """Factors of strips of one size, per unit amplitude; built once and drawn from many times.
+
+    The lowest frequencies along x have `columns`. In wide strips (`surveysim.atmosphere.wide_strips`) those above have
+    a Fourier transform across, with an `amplitude`.
 
     Attributes
     ----------
@@ -64,6 +68,10 @@ class Strip:
         Rows start[k]:start[k + 1] of `columns` belong to frequency k; higher frequencies have none.
     clipped_fraction
         Fraction of the variance of neighbour differences in negative eigenvalues, which were set to zero.
+    n_y
+        Period across of the frequencies above; 0 for none.
+    amplitude : (n_more, n_half)
+        Standard deviation of each part of a mode in unnormalized DFTs, by frequencies along and (of both signs) across.
     """
 
     step_rad: float
@@ -73,11 +81,13 @@ class Strip:
     columns: np.ndarray
     start: np.ndarray
     clipped_fraction: float
+    n_y: int = 0
+    amplitude: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def length_rad(self) -> float:
         """Longest track for which the structure function is exact [rad]."""
-        return 0.5 * (1.0 - _SEAM) * self.n_x * self.step_rad
+        return 0.5 * (1.0 - SEAM) * self.n_x * self.step_rad
 
     @property
     def half_width_rad(self) -> float:
@@ -91,8 +101,14 @@ class Strip:
 
     @property
     def n_deviates(self) -> int:
-        """Number of normal deviates in a realization: two for each row of `columns`, one for the slope."""
-        return 2 * len(self.columns) + 1
+        """Number of normal deviates in a realization: two for each row of `columns` and mode, one for the slope."""
+        return 2 * len(self.columns) + self.n_across + 1
+
+    @property
+    def n_across(self) -> int:
+        """Number of normal deviates of the frequencies with an `amplitude`."""
+        n_more, n_half = self.amplitude.shape
+        return 2 * n_more * max(2 * n_half - 1, 0)
 
 
 @threadpool_limits.wrap(limits=1)  # the last bits of eigenvectors depend on the number of BLAS threads
@@ -104,6 +120,7 @@ def build_strip(
     step_rad: float,
     precision: str = "float32",
     fewest_lanes: int = 2,
+    factorize: "Callable[..., Strip] | None" = None,
 ) -> Strip:
     """Build the factors of a strip.
 
@@ -124,6 +141,8 @@ def build_strip(
         "float32" or "float64".
     fewest_lanes
         Least number of lanes.
+    factorize
+        Function that builds a strip of a given size; `factorize_dense` by default.
 
     Raises
     ------
@@ -133,16 +152,17 @@ def build_strip(
     n_lane = lanes(half_width_rad, step_rad, fewest_lanes)
     n_x = points_along(length_rad, step_rad)
     check_points(n_x, n_lane, step_rad, screen)
-    strip = _factorize(screen, n_x=n_x, n_lane=n_lane, step_rad=step_rad, precision=precision)
-    while strip.clipped_fraction > _CLIPPED_MAX:
+    factorize = factorize or factorize_dense
+    strip = factorize(screen, n_x=n_x, n_lane=n_lane, step_rad=step_rad, precision=precision)
+    while strip.clipped_fraction > CLIPPED_MAX:
         n_x *= 2
         if n_x > N_X_MAX:
             raise OutOfRangeError(
                 f"no strip of {n_lane} lanes {step_rad:g} rad apart for {screen}: negative eigenvalues with"
-                f" {strip.clipped_fraction:.2g} of the variance found; at most {_CLIPPED_MAX:g} is allowed,"
+                f" {strip.clipped_fraction:.2g} of the variance found; at most {CLIPPED_MAX:g} is allowed,"
                 " use a smaller outer scale or shorter scans"
             )
-        strip = _factorize(screen, n_x=n_x, n_lane=n_lane, step_rad=step_rad, precision=precision)
+        strip = factorize(screen, n_x=n_x, n_lane=n_lane, step_rad=step_rad, precision=precision)
     return strip
 
 
@@ -153,7 +173,7 @@ def lanes(half_width_rad: float, step_rad: float, fewest: int) -> int:
 
 def check_points(n_x: int, n_lane: int, step_rad: float, screen: Screen) -> None:
     """Raise ValueError for strips with too many points, or longer than the structure function's table."""
-    if n_x * n_lane > _MOST_POINTS or n_x * step_rad > 2.0 * LAG_MAX * screen.beam_rad:
+    if n_x * n_lane > MOST_POINTS or n_x * step_rad > 2.0 * LAG_MAX * screen.beam_rad:
         raise OutOfRangeError(_too_large(n_x, n_lane, step_rad))
 
 
@@ -165,7 +185,7 @@ def check_elements(used: int, n_x: int, n_lane: int, step_rad: float) -> None:
 
 def _too_large(n_x: int, n_lane: int, step_rad: float) -> str:
     return (
-        f"found a strip of the layer with {n_x} by {n_lane} points {step_rad:.3g} rad apart; up to {_MOST_POINTS:.3g}"
+        f"found a strip of the layer with {n_x} by {n_lane} points {step_rad:.3g} rad apart; up to {MOST_POINTS:.3g}"
         f" points, {LAG_MAX:g} beams of length and {_MOST_ELEMENTS:.3g} elements of covariance are allowed, by shorter"
         " scans, a slower wind, a lower layer, a smaller camera or a larger numerics.screen_step"
     )
@@ -173,40 +193,46 @@ def _too_large(n_x: int, n_lane: int, step_rad: float) -> str:
 
 def points_along(length_rad: float, step_rad: float) -> int:
     """Smallest power of two of lattice points whose half, without the seam, exceeds the length."""
-    return max(_N_X_MIN, 2 ** ceil(log2(2.0 / (1.0 - _SEAM) * (length_rad / step_rad + 1.0))))
+    return max(_N_X_MIN, 2 ** ceil(log2(2.0 / (1.0 - SEAM) * (length_rad / step_rad + 1.0))))
 
 
 def longest_track(n_x: int, step_rad: float) -> float:
     """Longest track [rad] for which a strip gets exactly this power of two of points."""
-    return (0.5 * (1.0 - _SEAM) * n_x - 1.5) * step_rad
+    return (0.5 * (1.0 - SEAM) * n_x - 1.5) * step_rad
 
 
-def _factorize(screen: Screen, *, n_x: int, n_lane: int, step_rad: float, precision: str) -> Strip:
+def factorize_dense(screen: Screen, *, n_x: int, n_lane: int, step_rad: float, precision: str) -> Strip:
     """Build a strip of a given size, whatever its clipped fraction."""
-    ramp_variance, density = lane_spectra(screen, n_x, n_lane, step_rad)
+    _, density = lane_spectra(screen, n_x, n_lane, step_rad)
+    used = used_modes(screen, density, n_x, step_rad)
+    strip = dense_strip(screen, density, n_x=n_x, step_rad=step_rad, used=used, precision=precision)
+    n_freq = int(np.searchsorted(strip.start, strip.start[-1]))
+    return replace(strip, start=strip.start[: n_freq + 1])
+
+
+def dense_strip(screen: Screen, density: np.ndarray, *, n_x: int, step_rad: float, used: int, precision: str) -> Strip:
+    """Build a strip from the first `used` frequencies of spectra (n_x/2 + 1, n_lane); raises as `check_elements`."""
+    n_lane = density.shape[1]
     total = 2.0 * float(structure_function(screen, step_rad))
-    value, vector, share = _eigen_modes(density, n_x, step_rad, used_modes(screen, density, n_x, step_rad))
+    value, vector, share = _eigen_modes(density, n_x, step_rad, used)
     share /= total
-    kept = share > min(_NEGLIGIBLE, 0.1 * _NEGLIGIBLE_SUM / share.size)
-    # A real mode (k = 0 or Nyquist) has all its variance, n_x times the eigenvalue, in one part, the others
-    # half of it.
-    part = np.full(n_x // 2 + 1, 0.5 * n_x)
-    part[[0, -1]] = n_x
-    scale = np.sqrt(np.maximum(value, 0.0) * part[: len(value), None])
+    kept = share > min(_NEGLIGIBLE, 0.1 * NEGLIGIBLE_SUM / share.size)
+    scale = np.sqrt(np.maximum(value, 0.0) * mode_parts(n_x)[: len(value), None])
     columns = np.zeros((int(kept.sum()), -(-n_lane // _VECTOR) * _VECTOR), precision)
     columns[:, :n_lane] = (vector * scale[:, None, :]).transpose(0, 2, 1)[kept]
-    start = np.concatenate([[0], np.cumsum(kept.sum(axis=1))])
-    n_freq = int(np.searchsorted(start, start[-1]))
+    start = np.concatenate([[0], np.cumsum(kept.sum(axis=1))]).astype(np.int64)
     clipped = max(0.0, -float(share[share < 0.0].sum()))
-    return Strip(
-        step_rad,
-        n_x,
-        n_lane,
-        ramp_variance**0.5,
-        columns,
-        start[: n_freq + 1].astype(np.int64),
-        clipped,
-    )
+    return Strip(step_rad, n_x, n_lane, _ramp_variance(screen, n_x, step_rad) ** 0.5, columns, start, clipped)
+
+
+def mode_parts(n_x: int) -> np.ndarray:
+    """Variance (n_x/2 + 1,) of each part of a mode in an unnormalized DFT, per eigenvalue.
+
+    A real mode (k = 0 or Nyquist) has all its variance in one part, the others half of it.
+    """
+    part = np.full(n_x // 2 + 1, 0.5 * n_x)
+    part[[0, -1]] = n_x
+    return part
 
 
 def lane_spectra(screen: Screen, n_x: int, n_lane: int, step_rad: float) -> tuple[float, np.ndarray]:
@@ -221,20 +247,24 @@ def lane_spectra(screen: Screen, n_x: int, n_lane: int, step_rad: float) -> tupl
     """
     from scipy.fft import dct
 
-    half = 0.5 * n_x * step_rad
-    ramp_variance = max(0.0, float(structure_slope(screen, half)) / (2.0 * half))
+    ramp_variance = _ramp_variance(screen, n_x, step_rad)
     x = step_rad * np.arange(n_x // 2 + 1)
     distance = np.hypot(x[:, None], step_rad * np.arange(n_lane))
     covariance = -0.5 * (structure_function(screen, distance) - ramp_variance * x[:, None] ** 2)
-    return ramp_variance, dct(_smooth_seam(covariance), type=1, axis=0)
+    return ramp_variance, dct(smooth_seam(covariance), type=1, axis=0)
 
 
-def _smooth_seam(covariance: np.ndarray) -> np.ndarray:
+def _ramp_variance(screen: Screen, n_x: int, step_rad: float) -> float:
+    half = 0.5 * n_x * step_rad
+    return max(0.0, float(structure_slope(screen, half)) / (2.0 * half))
+
+
+def smooth_seam(covariance: np.ndarray) -> np.ndarray:
     """Make the covariance (n_x/2 + 1, n_lane) smooth and even about its last row, the seam.
 
-    Over the last `_SEAM` of its length it changes into the best-fitting polynomial that is even about the seam.
+    Over the last `SEAM` of its length it changes into the best-fitting polynomial that is even about the seam.
     """
-    n = int(_SEAM * (covariance.shape[0] - 1))
+    n = int(SEAM * (covariance.shape[0] - 1))
     s = np.arange(n, -1, -1.0) / n  # 1 where the change begins, 0 at the seam
     even = s[:, None] ** np.arange(0, 2 * _SEAM_TERMS, 2)
     far = slice(0, max(_SEAM_TERMS, n // 2))
@@ -245,23 +275,26 @@ def _smooth_seam(covariance: np.ndarray) -> np.ndarray:
     return np.concatenate([covariance[: -n - 1], end + step[:, None] * (even @ coefficients - end)])
 
 
-def _weights(n_x: int) -> tuple[np.ndarray, np.ndarray]:
+def difference_weights(n_x: int) -> tuple[np.ndarray, np.ndarray]:
     """Weights (n_x/2 + 1,) of frequencies in the variance, and in the variance of neighbour differences along x."""
     weight = np.full(n_x // 2 + 1, 2.0 / n_x)
     weight[[0, -1]] = 1.0 / n_x
     return weight, weight * (2.0 * np.sin(pi * np.arange(n_x // 2 + 1) / n_x)) ** 2
 
 
-def used_modes(screen: Screen, density: np.ndarray, n_x: int, step_rad: float) -> int:
-    """Count the frequencies, from 0 on, that are not negligible in spectra (n_x/2 + 1, n_lane)."""
-    weight, along = _weights(n_x)
+def used_modes(screen: Screen, density: np.ndarray, n_x: int, step_rad: float, omitted: float = NEGLIGIBLE_SUM) -> int:
+    """Count the frequencies, from 0 on, that are not negligible in spectra (n_x/2 + 1, n_lane).
+
+    Those above contribute at most the fraction `omitted` to the differences between lattice neighbours.
+    """
+    weight, along = difference_weights(n_x)
     # No eigenvalue exceeds its matrix' largest absolute row sum.
     bound = np.abs(density).sum(axis=1) * (along + weight)
     used = 1 + int(np.flatnonzero(bound[1:] > 1e-2 * _NEGLIGIBLE * bound[1:].sum()).max()) + 1
     # For long strips and red spectra the sum of bounds is far above the total.
     share = along * density[:, 0] + 2.0 * weight * (density[:, 0] - density[:, 1])
     total = 2.0 * float(structure_function(screen, step_rad))
-    above = np.flatnonzero(np.cumsum(share[::-1])[::-1] > _NEGLIGIBLE_SUM * total)
+    above = np.flatnonzero(np.cumsum(share[::-1])[::-1] > omitted * total)
     return max(used, 1 + int(above.max(initial=0)))
 
 
@@ -276,7 +309,7 @@ def _eigen_modes(
     n_lane = density.shape[1]
     check_elements(used, n_x, n_lane, step_rad)
     lane = np.arange(n_lane)
-    weight, along = _weights(n_x)
+    weight, along = difference_weights(n_x)
     matrix = density[:used, np.abs(lane[:, None] - lane)]
     matrix[0] -= matrix[0].mean(axis=0)
     matrix[0] -= matrix[0].mean(axis=1)[:, None]

@@ -15,6 +15,7 @@ from surveysim.atmosphere.strip_factors import (
     used_modes,
 )
 from surveysim.atmosphere.thin_screen import Screen
+from surveysim.atmosphere.wide_strips import check_wide, factorize_wide
 from surveysim.runtime.errors import OutOfRangeError
 
 # Operations for eigenvectors that take at most a second, and the smallest number of lanes that shows smoothness.
@@ -39,22 +40,32 @@ def check_strip(strips: StripCache, length_rad: float) -> int:
     Returns
     -------
     int
-        Elements of the covariance matrices of all frequencies.
+        Elements of the covariance matrices of all frequencies, or points of a wide strip.
 
     Raises
     ------
     ValueError
         Where a strip can't be built.
     """
-    n_lane, step = strips.n_lane, strips.step_rad
-    n_x = points_along(length_rad, step)
-    check_points(n_x, n_lane, step, strips.screen)
+    n_lane, step, n_x = strips.n_lane, strips.step_rad, check_size(strips, length_rad)
+    if strips.factorize is factorize_wide:
+        if not _is_surely_built(strips, n_x):
+            strips.strip_for(length_rad)
+        return n_x * n_lane
     used = _used(strips.screen, n_x, n_lane, step)
     check_elements(used, n_x, n_lane, step)
     sizes = [] if _is_surely_built(strips, n_x) else sorted({n_x, min(n_x, N_X_MAX)})
     for size in sizes:
         _try(strips.screen, n_x=size, n_lane=n_lane, step_rad=step, used=used, precision=strips.precision)
     return used * n_lane**2
+
+
+def check_size(strips: StripCache, length_rad: float) -> int:
+    """Count the points along a strip for tracks up to a length; raises ValueError for strips too large to hold."""
+    n_x = points_along(length_rad, strips.step_rad)
+    check = check_wide if strips.factorize is factorize_wide else check_points
+    check(n_x, strips.n_lane, strips.step_rad, strips.screen)
+    return n_x
 
 
 def _is_surely_built(strips: StripCache, n_x: int) -> bool:
@@ -64,8 +75,11 @@ def _is_surely_built(strips: StripCache, n_x: int) -> bool:
     if n_long > N_X_MAX or strips.screen.index > _LONG_INDEX:
         return False
     try:
-        check_points(n_long, n_lane, step, strips.screen)
-        check_elements(n_long // 2 + 1, n_long, n_lane, step)
+        if strips.factorize is factorize_wide:
+            check_wide(n_long, n_lane, step, strips.screen)
+        else:
+            check_points(n_long, n_lane, step, strips.screen)
+            check_elements(n_long // 2 + 1, n_long, n_lane, step)
     except OutOfRangeError:
         return False
     return True

@@ -2,7 +2,7 @@
 
 from itertools import count
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +13,12 @@ from surveysim.output.names import default_directory
 from surveysim.runtime.errors import InputError, SceneError
 from surveysim.runtime.printable import complain
 from surveysim.scene.shipped import scene_folder
+
+if TYPE_CHECKING:
+    from surveysim.runtime.engine import Engine
+
+
+LEAST_EXPLAINED = 8  # observations that make quarters of B2
 
 
 def accuracy(
@@ -113,7 +119,13 @@ def paper(
     table: Annotated[list[int] | None, typer.Option(metavar="N", help="Number of a table; may be repeated.")] = None,
     figure: Annotated[list[int] | None, typer.Option(metavar="N", help="Number of a figure; may be repeated.")] = None,
     everything: Annotated[bool, typer.Option("--all", help="Make all tables and figures.")] = False,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Output directory; by default outputs/paper.")] = None,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="Add ingredients to one frozen layer and compare, instead.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Output directory; by default outputs/paper or outputs/paper_explain."),
+    ] = None,
     scenarios: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Folder of the scenes; by default scenarios/, or the scenes that ship."),
@@ -132,6 +144,14 @@ def paper(
 
     Published values are given with the simulated ones.
     """
+    if observations is not None:
+        options.at_least("--observations", observations, 1)
+    if explain:
+        if table or figure or everything:
+            fail("--explain: found with --table, --figure or --all; it stands alone")
+        with_engine = options.engine(engine, workers, scheduler)
+        _explain(scenarios, out, with_engine, observations=observations, settings=settings, force=force, quiet=quiet)
+        return
     from surveysim.cli.progress import equal_work, progress_display
     from surveysim.paper.reproduce import reproduce
     from surveysim.paper.scenes import FIGURES, TABLES, wanted
@@ -141,9 +161,7 @@ def paper(
     tables = options.numbers("--table", table, TABLES, everything)
     figures = options.numbers("--figure", figure, FIGURES, everything)
     if not tables and not figures:
-        fail("nothing asked for: --table, --figure or --all is expected")
-    if observations is not None:
-        options.at_least("--observations", observations, 1)
+        fail("nothing asked for: --table, --figure, --all or --explain is expected")
     given = options.settings(settings)
     asked = wanted(tables, figures, scenarios or scene_folder(), observations=observations, overrides=given)
     own = {} if observations is None else {"paper.observations": observations}
@@ -170,3 +188,33 @@ def paper(
         complain(line)
     if failed:
         raise typer.Exit(EXIT_FAILED)
+
+
+def _explain(
+    scenarios: Path | None,
+    out: Path | None,
+    with_engine: "Engine",
+    *,
+    observations: int | None,
+    settings: list[str] | None,
+    force: bool,
+    quiet: bool,
+) -> None:
+    """Run the surveys of all ingredients and print what explains the paper's findings."""
+    from surveysim.cli.progress import equal_work, progress_display
+    from surveysim.paper.explain.ingredients import explained
+    from surveysim.paper.explain.run import explain
+    from surveysim.report.terminal.paper import print_explanation
+
+    if observations is not None:
+        options.at_least("--observations", observations, LEAST_EXPLAINED)
+    given = options.settings(settings)
+    asked = explained(scenarios or scene_folder(), observations=observations, overrides=given)
+    own = {} if observations is None else {"paper.observations": observations}
+    directory = out or default_directory("paper_explain", given | own)
+    done, work = count(1), equal_work(asked.observations)
+    with progress_display("paper --explain", work, quiet, workers=with_engine.workers_for(len(work))) as show:
+        progress = stopping(lambda: show(next(done), lambda: ""))
+        content = explain(asked, directory, with_engine, progress=progress, force=force)
+    if not quiet:
+        print_explanation(content, directory)

@@ -55,7 +55,7 @@ def layer(of: NoiseBins) -> Noise:
     """Layer of the atmosphere."""
     bins = of.layer()
     return lambda conditions: (
-        (conditions.layer * conditions.gain**2)[:, None] * bins(conditions.motion, conditions.sine)
+        (conditions.layer * conditions.gain**2)[:, None] * bins(conditions.motion[:, of.node], conditions.sine)
     )
 
 

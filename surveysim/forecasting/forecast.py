@@ -16,11 +16,11 @@ import numpy as np
 
 from mapmaker.bandpower import BandPower, band_power, flat_spectrum_psd
 from surveysim.forecasting.closed_forms import CLOSED_FORMS
+from surveysim.forecasting.coverage import mean_hits
 from surveysim.forecasting.mode_response import PROJECTIONS
-from surveysim.forecasting.noise_model import PATTERNS, NoiseModel, is_projection, survey_models
+from surveysim.forecasting.noise_model import NoiseModel, is_projection, survey_models
 from surveysim.forecasting.observing_conditions import (
     ObservingConditions,
-    mean_hits,
     observing_conditions,
     survey_draws,
 )
@@ -154,14 +154,12 @@ def forecast(setup: Setup, kept: dict[str, np.ndarray] | None = None) -> Forecas
 
 
 def can_forecast(setup: Setup) -> bool:
-    """Tell whether a prepared scene has a score, and closed forms for its scans, components and first cleaning."""
+    """Tell whether a prepared scene has a score, and closed forms for its components and first cleaning."""
     return setup.scene.score is not None and why_no_forecast(setup) is None
 
 
 def why_no_forecast(setup: Setup) -> str | None:
-    """Name a scan pattern, component, step of the response or cleaning without a closed form; None if all have one."""
-    if setup.observing.pattern.name not in PATTERNS:
-        return f"scan: found {setup.observing.pattern.name!r}, a pattern without a closed form"
+    """Name a component, step of the response or cleaning without a closed form; None if all have one."""
     for item in present_components(setup.scene):
         if item.name not in CLOSED_FORMS:
             return f"{item.name}: found a section without a closed form"

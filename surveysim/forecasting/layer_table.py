@@ -13,7 +13,7 @@ _SPEEDS, _DIRECTIONS = 5, 4  # nodes of the layer's motion against the scan
 _SINES = 3  # nodes in elevation
 _SLOWEST = 0.02  # least relative speed of the table, in scan speeds
 
-# Maps motions (n_draw, n_motion), complex [rad/s], and sines of elevations (n_draw,) to noise (n_draw, n_bin).
+# Maps motions (n_draw, n_direction), complex [rad/s], and sines of elevations (n_draw,) to noise (n_draw, n_bin).
 LayerNoise = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -29,13 +29,21 @@ def stream_frequencies(layer: LayerWaves, motion: complex) -> np.ndarray:
 
 
 def interpolate_motions(
-    conditions: ObservingConditions, speed_rad_s: float, noise: Callable[[complex], list[np.ndarray]]
+    motion: np.ndarray, sines: np.ndarray, *, speed_rad_s: float, noise: Callable[[complex], list[np.ndarray]]
 ) -> LayerNoise:
     """Tabulate `noise` at a few speeds, directions and elevations, and interpolate its mean over the motions of a draw.
 
-    `noise` of a motion is (n_bin,) at each elevation of `sine_nodes`; `speed_rad_s` is the speed of the scan. Mirrored
-    directions are taken as one, because the array has many angles to them. Conditions outside the table take the
-    nearest value.
+    Parameters
+    ----------
+    motion : (n_draw, n_direction)
+        Motions that the table brackets. Mirrored directions are taken as one, because the array has many angles to
+        them. Others take the nearest value.
+    sines
+        Elevations of the table, of `sine_nodes`.
+    speed_rad_s
+        Speed of the scan.
+    noise
+        Function of a motion: noise (n_bin,) at each of these elevations.
     """
     slowest = _SLOWEST * speed_rad_s
 
@@ -43,11 +51,11 @@ def interpolate_motions(
         logs = np.broadcast_to(np.log(sine)[:, None], motion.shape)
         return np.log(np.maximum(np.abs(motion), slowest)), np.abs(np.angle(motion)), logs
 
-    speed, turn, _ = place(conditions.motion, conditions.sine)
+    speed, turn, _ = place(motion, np.ones(len(motion)))
     speeds = np.linspace(speed.min(), speed.max() + 1e-6, _SPEEDS if np.ptp(speed) > 1e-3 else 2)
     turns = np.linspace(turn.min(), turn.max() + 1e-6, _DIRECTIONS if np.ptp(turn) > 1e-3 else 2)
     table = np.array([[noise(np.exp(s + 1j * t)) for t in turns] for s in speeds])
-    nodes = speeds, turns, np.log(sine_nodes(conditions))
+    nodes = speeds, turns, np.log(sines)
     logs = np.log(np.maximum(table, 1e-300))
 
     def between(motion: np.ndarray, sine: np.ndarray) -> np.ndarray:

@@ -26,10 +26,11 @@ def dot(x, y):
 
 
 @njit(cache=True, nogil=True)
-def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, share, own, lost):
+def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, loose, share, own, lost):
     """Sum the leakage E[(w(f_k - f_a) - m_a w(f_k) - l_aj o_kj)^2] strength_ka power_pa over a.
 
-    The expectation takes the fitted mode j with the probability share_j, or none.
+    The expectation takes the fitted mode j with the probability share_j, or none, and the product of the first two
+    terms less the part n_a.
 
     Parameters
     ----------
@@ -44,6 +45,8 @@ def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, shar
     per_step : float
     mean : (n_a,)
         Components m of the waves along the scan's mean.
+    loose : (n_a,)
+        Part n that averages out over the places of the taper in the scan.
     share : (n,)
     own : (n_k, n)
         Components o of the map modes along the fitted modes.
@@ -62,8 +65,10 @@ def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, shar
         look_up(transfer, last, frequency, at[k], per_step, value)
         row = k if strength.shape[0] > 1 else 0
         for a in range(n_a):
-            value[a] -= mean[a] * middle[0]
-            passed[a] = value[a] * value[a]
+            lost_mean = mean[a] * middle[0]
+            averaged = 2 * loose[a] * lost_mean * value[a]
+            value[a] -= lost_mean
+            passed[a] = value[a] * value[a] + averaged
         for j in range(share.size):
             weight, lose = share[j], own[k, j]
             for a in range(n_a):

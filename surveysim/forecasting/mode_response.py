@@ -11,7 +11,9 @@ mean is removed: with w the transform of the map's taper along the scan, power a
 
     H(f, f') = (w(f - f') - sinc(f' T) w(f))^2,
 
-normalised so that H integrates to 1 over f' where no mean is removed (`surveysim.forecasting.scan_apodization`). Fits
+normalised so that H integrates to 1 over f' where no mean is removed (`surveysim.forecasting.scan_apodization`). A
+curved chunk crosses the taper of a length L, shorter than T, at any time: the product of the two terms then has the
+mean sinc(f' (T - L)). Fits
 of responsivities remove modes in time as well (`surveysim.forecasting.fitted_modes`), which enter H in the same way as
 the mean. All quantities are in the frame of the scan, whose x axis is the scan direction; positions in it are complex
 numbers x + i y [rad].
@@ -57,11 +59,6 @@ class Modes:
 
     wave: np.ndarray
     share: np.ndarray
-
-    @property
-    def turned(self) -> np.ndarray:
-        """Column (n_angle,) of the mode a quarter of a turn before each, or of its conjugate."""
-        return np.roll(np.arange(len(self.share)), len(self.share) // 2)
 
     def mean(self, values: np.ndarray) -> np.ndarray:
         """Average values (n_bin n_angle,) over azimuth, (n_bin,)."""

@@ -37,6 +37,7 @@ class ScanFrequencies:
     """Scored modes (n_mode,) with their aliased frequencies, and quadrature nodes and weights (n,) of white noise."""
 
     scans: Scans
+    speed_rad_s: float
     modes: Modes
     at_hz: np.ndarray
     apodization: ScanApodization
@@ -53,21 +54,24 @@ class ScanFrequencies:
         return self.apodization.sums((self.weight_hz * power)[None], self.nodes_hz, self.at_hz)
 
 
-def scan_frequencies(scans: Scans, score: Score, ell: np.ndarray, fitted_modes: FittedModes) -> ScanFrequencies:
-    """Frequencies at which scans see the modes of bins around `ell` (n_bin,)."""
+def scan_frequencies(
+    scans: Scans, score: Score, ell: np.ndarray, *, speed_rad_s: float, straight: bool, fitted_modes: FittedModes
+) -> ScanFrequencies:
+    """Frequencies at which scans at some speed see the modes of bins around `ell` (n_bin,)."""
     rate = scans.sample_rate_hz
     modes = ring_modes(ell)
-    at_hz = modes.wave.real.ravel() * scans.speed_rad_s / (2 * np.pi)
+    at_hz = modes.wave.real.ravel() * speed_rad_s / (2 * np.pi)
     at_hz -= rate * np.round(at_hz / rate)  # aliases of the sample rate
     apodization = scan_apodization(
         samples_per_scan(scans) / rate,
-        speed_rad_s=scans.speed_rad_s,
+        speed_rad_s=speed_rad_s,
         size_rad=score.size_rad,
         taper_fraction=score.taper_fraction,
         fitted_modes=fitted_modes,
+        centred=straight,
     )
     nodes, weight = frequency_nodes(apodization, max(1.1 * np.abs(at_hz).max(), 0.5 * rate))
-    return ScanFrequencies(scans, modes, at_hz, apodization, nodes, weight)
+    return ScanFrequencies(scans, speed_rad_s, modes, at_hz, apodization, nodes, weight)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +82,8 @@ class NoiseBins(ABC):
     ----------
     conditions
         Observing conditions that bracket all others.
+    node
+        Number of the speed of `frequencies` among those of the track.
     arrays
         The pipeline's detectors, at a few angles to the scan.
     independent
@@ -92,6 +98,7 @@ class NoiseBins(ABC):
 
     scene: Scene
     conditions: ObservingConditions
+    node: int
     frequencies: ScanFrequencies
     arrays: list[ProjectedArray]
     correlations: NoiseCorrelations
@@ -135,6 +142,11 @@ class NoiseBins(ABC):
         streams = common_streams(self.camera, shared, group_size)[self.rows]
         return NoiseCorrelation(GroupCorrelation(streams), np.ones(len(streams)))
 
+    def layer_table(self, noise: Callable[[complex], list[np.ndarray]]) -> LayerNoise:
+        """Interpolate `noise` of a motion (`interpolate_motions`) over the motions at this speed of the track."""
+        motion, speed = self.conditions.motion[:, self.node], self.frequencies.speed_rad_s
+        return interpolate_motions(motion, sine_nodes(self.conditions), speed_rad_s=speed, noise=noise)
+
     @abstractmethod
     def layer(self) -> LayerNoise:
         """Bins of a layer of unit amplitude, as a function of its motion."""
@@ -154,6 +166,17 @@ class MapBins(NoiseBins):
 
     responses: list[np.ndarray]
     pixel: np.ndarray
+
+    def signal_amplitude(self) -> np.ndarray:
+        """Amplitude (n_mode,) that response, scans and cleaning leave of each mode of the sky."""
+        at_hz = self.frequencies.at_hz
+        kept = []
+        for array, response in zip(self.arrays, self.responses, strict=True):
+            seen = array.phases(self.frequencies.modes.wave.ravel()) * array.responsivity[:, None]
+            if self.filters is not None:
+                seen = seen * self.filters.signal(at_hz)
+            kept.append(np.einsum("ij,ij->j", response.conj(), seen) / (array.responsivity @ array.weight))
+        return np.mean(kept, axis=0) * self.frequencies.apodization.signal_amplitude(at_hz)
 
     def _mean(self, powers: list[np.ndarray], leakage: np.ndarray) -> np.ndarray:
         """Average over arrays and the modes of each bin."""
@@ -212,7 +235,7 @@ class MapBins(NoiseBins):
             sums = spectrum.apodization.power_sums(gain, power, along, spectrum.at_hz)
             return [spectrum.modes.mean(item) * self.scans.sample_rate_hz for item in sums]
 
-        table = interpolate_motions(self.conditions, self.scans.speed_rad_s, noise)
+        table = self.layer_table(noise)
         return lambda motion, sine: table(motion, sine) * self.pixel
 
 
@@ -262,7 +285,7 @@ class NoiseOnlyBins(NoiseBins):
             power = waves.power * self.passed(along, "light")
             return [self.in_bins(psd) for psd in self.hann.power_sums(gain[None], power, along, self.lines_hz)]
 
-        return interpolate_motions(self.conditions, self.scans.speed_rad_s, noise)
+        return self.layer_table(noise)
 
 
 def noise_only_bins(of: MapBins, name: str, white_above_hz: float) -> NoiseOnlyBins:
@@ -287,6 +310,7 @@ def noise_only_bins(of: MapBins, name: str, white_above_hz: float) -> NoiseOnlyB
     return NoiseOnlyBins(
         scene=of.scene,
         conditions=of.conditions,
+        node=of.node,
         frequencies=spectrum,
         arrays=of.arrays,
         correlations=of.correlations,

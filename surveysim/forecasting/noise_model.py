@@ -17,17 +17,19 @@ f' = alpha.v, weighted by |a^H (r exp(2 pi i alpha.r))|^2 for responsivities r. 
 the sky. The spectrum of the layer is equation 2 of Sayers et al. (2010).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from mapmaker.transfer_function import pixel_window
 from surveysim.forecasting.closed_forms import CLOSED_FORMS, ClosedForm, Noise, layer
-from surveysim.forecasting.mode_response import PROJECTIONS, ProjectedArray, projected_array
-from surveysim.forecasting.noise_bins import MapBins, NoiseBins, ScanFrequencies, noise_only_bins, scan_frequencies
+from surveysim.forecasting.mode_response import PROJECTIONS, ProjectedArray, projected_array, ring_modes
+from surveysim.forecasting.noise_bins import MapBins, NoiseBins, noise_only_bins, scan_frequencies
 from surveysim.forecasting.observing_conditions import (
     ObservingConditions,
+    WhiteShapes,
     independent_noise,
     noise_correlations,
     population_conditions,
@@ -35,17 +37,17 @@ from surveysim.forecasting.observing_conditions import (
     white_shapes,
 )
 from surveysim.forecasting.response_filters import gain_variance, stream_filters
+from surveysim.forecasting.track_motions import track_motions
+from surveysim.forecasting.turned_modes import turned_power
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.scored_region import left_signal
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InsufficientDataError, NotForecastableError
 from surveysim.runtime.once import keep_last
-from surveysim.scene.scene import Scene
 from surveysim.telescope.pointing_errors import smearing_variance
 from surveysim.timestreams.component import present_components
 from surveysim.timestreams.crosstalk import CrosstalkMatrix
 
-PATTERNS = ("raster",)  # scan patterns with a closed form: straight scans along RA and Dec in turn
 _ANGLES = 3  # between array and scan that represent all observations
 
 
@@ -60,7 +62,7 @@ class NoiseModel:
     n_det
         Number of detectors.
     parts
-        Noise of each term of the components' closed forms.
+        Noise of each term of the components' closed forms, as a mean over the track.
     signal_psd : (n_bin,)
         PSD that scans and cleaning leave of a flat spectrum of unit band power [sr].
     """
@@ -101,48 +103,61 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
     NotForecastableError
         Where the focal plane does not support the templates of the cleaning.
     """
-    scene, region, pixel_rad = setup.scene, setup.analysis.region, setup.analysis.geometry.pixel_rad
+    scene, region = setup.scene, setup.analysis.region
     shapes = white_shapes(setup)
     for pipeline in filter(is_projection, setup.analysis.pipelines):
-        arrays = _arrays(setup, pipeline, conditions)
-        fitted = removed_modes(setup.observing, pipeline, arrays[0], conditions)
-        spectrum = scan_frequencies(setup.observing.scans, scene.score, region.rings.ell, fitted)
-        n_det = len(arrays[0].place)
-        phases = [array.phases(spectrum.modes.wave.ravel()) for array in arrays]
-        responses = [
-            _crosstalked(setup, pipeline, array.respond(item)) for array, item in zip(arrays, phases, strict=True)
-        ]
-        filters = stream_filters(setup, pipeline)
-        if filters is not None:
-            phases = [item * filters.signal(spectrum.at_hz) for item in phases]
-        transmission = _transmission(scene, spectrum, arrays, phases=phases, responses=responses)
-        transmission = transmission * conditions.gain.mean() ** 2
+        bins = _map_bins(setup, pipeline, conditions, shapes)
+        transmission = _transmission(setup, bins) * conditions.gain.mean() ** 2
         signal = left_signal(setup.analysis.beams, setup.analysis.geometry, setup.sky.geometry, region, transmission)
-        bins = MapBins(
-            scene=scene,
-            conditions=conditions,
-            frequencies=spectrum,
-            arrays=arrays,
-            correlations=noise_correlations(setup.camera, pipeline, shapes),
-            camera=setup.camera,
-            rows=pipeline.rows,
-            independent=independent_noise(shapes, pipeline),
-            filters=filters,
-            gain_variance=gain_variance(setup, pipeline, conditions),
-            responses=responses,
-            pixel=pixel_window(region.rings.ell, pixel_rad),
-        )
+        n_det = len(bins[0].arrays[0].place)
         yield NoiseModel(pipeline.data_set, pipeline, n_det, _closed_forms(bins), signal)
         if pipeline is setup.analysis.pipelines[0]:
             for name in scene.score.noise_only_sets:
-                parts = _closed_forms(noise_only_bins(bins, name, scene.score.white_noise_above_hz))
-                yield NoiseModel(name, pipeline, n_det, parts, signal)
+                of_set = [noise_only_bins(item, name, scene.score.white_noise_above_hz) for item in bins]
+                yield NoiseModel(name, pipeline, n_det, _closed_forms(of_set), signal)
 
 
-def _closed_forms(bins: NoiseBins) -> dict[ClosedForm, Noise]:
-    """Noise of each term of the components that the scene has a section for."""
-    present = {item.name for item in present_components(bins.scene)}
-    return {term: term(bins) for name, terms in CLOSED_FORMS.items() if name in present for term in terms}
+def _map_bins(
+    setup: Setup, pipeline: CleaningPipeline, conditions: ObservingConditions, shapes: WhiteShapes | None
+) -> list[MapBins]:
+    """Set up the bins of a pipeline's map at each speed of the track."""
+    ell, arrays = setup.analysis.region.rings.ell, _arrays(setup, pipeline, conditions)
+    fitted = removed_modes(setup.observing, pipeline, arrays[0], conditions)
+    wave = ring_modes(ell).wave.ravel()
+    alike: dict[str, Any] = {
+        "scene": setup.scene,
+        "conditions": conditions,
+        "arrays": arrays,
+        "correlations": noise_correlations(setup.camera, pipeline, shapes),
+        "camera": setup.camera,
+        "rows": pipeline.rows,
+        "independent": independent_noise(shapes, pipeline),
+        "filters": stream_filters(setup, pipeline),
+        "gain_variance": gain_variance(setup, pipeline, conditions),
+        "responses": [_crosstalked(setup, pipeline, array.response(wave)) for array in arrays],
+        "pixel": pixel_window(ell, setup.analysis.geometry.pixel_rad),
+    }
+    tracks, of_scans = track_motions(setup), (setup.observing.scans, setup.scene.score, ell)
+    frequencies = [
+        scan_frequencies(*of_scans, speed_rad_s=speed, straight=tracks.straight, fitted_modes=fitted)
+        for speed in tracks.speed_rad_s.tolist()
+    ]
+    return [MapBins(node=node, frequencies=item, **alike) for node, item in enumerate(frequencies)]
+
+
+def _closed_forms(bins: Sequence[NoiseBins]) -> dict[ClosedForm, Noise]:
+    """Noise of each term of the components that the scene has a section for, as a mean over the speeds of the track."""
+    present = {item.name for item in present_components(bins[0].scene)}
+    terms = [term for name, terms in CLOSED_FORMS.items() if name in present for term in terms]
+    return {term: _track_mean([term(item) for item in bins]) for term in terms}
+
+
+def _track_mean(parts: list[Noise]) -> Noise:
+    def mean(conditions: ObservingConditions) -> np.ndarray:
+        share = conditions.speed_share.T[..., None]
+        return np.sum([weight * part(conditions) for weight, part in zip(share, parts, strict=True)], axis=0)
+
+    return parts[0] if len(parts) == 1 else mean
 
 
 def is_projection(pipeline: CleaningPipeline) -> bool:
@@ -154,7 +169,7 @@ def _arrays(setup: Setup, pipeline: CleaningPipeline, conditions: ObservingCondi
     """Set up the pipeline's detectors at a few angles to the scan, which represent all observations."""
     camera, calibration = setup.camera, setup.analysis.calibration
     plane = camera.focal_plane.subset(pipeline.rows)
-    angles = np.sort(np.mod(conditions.angle, 2 * np.pi))
+    angles = np.sort(np.mod(conditions.angle, 2 * np.pi), axis=None)
     chosen = angles[((np.arange(_ANGLES) + 0.5) * len(angles) / _ANGLES).astype(int)] if len(angles) > 1 else angles
     responsivity, assumed = camera.responsivity[pipeline.rows], None
     if calibration is not None and pipeline.takes_responsivities:
@@ -177,33 +192,13 @@ def _crosstalked(setup: Setup, pipeline: CleaningPipeline, response: np.ndarray)
     return CrosstalkMatrix(section, setup.camera.readout_groups).times(response)
 
 
-def _transmission(
-    scene: Scene,
-    spectrum: ScanFrequencies,
-    arrays: list[ProjectedArray],
-    *,
-    phases: list[np.ndarray],
-    responses: list[np.ndarray],
-) -> np.ndarray:
+def _transmission(setup: Setup, bins: list[MapBins]) -> np.ndarray:
     """Transfer function (n_bin,) of pointing errors, response, scans and cleaning for the co-added map.
 
-    `phases` of the detectors include the filters of their time constants.
-    Amplitudes of all observations are averaged before they are squared: scans along one direction keep modes that
+    Amplitudes of all samples of a place are averaged before they are squared: scans along one direction keep modes that
     scans along the other lose.
     """
-    modes, n_obs = spectrum.modes, scene.observations
-    kept = [
-        np.einsum("ij,ij->j", response.conj(), phase * array.responsivity[:, None])
-        / (array.responsivity @ array.weight)
-        for array, phase, response in zip(arrays, phases, responses, strict=True)
-    ]
-    smeared = np.exp(-smearing_variance(scene.pointing_errors) / 2 * np.abs(modes.wave) ** 2)
-    amplitude = (np.mean(kept, axis=0) * spectrum.apodization.signal_amplitude(spectrum.at_hz)).reshape(
-        modes.wave.shape
-    ) * smeared
-    across = amplitude[:, modes.turned]
-    half = len(modes.share) // 2
-    across[:, :half] = across[:, :half].conj()
-    share = (n_obs // 2) / n_obs  # fraction of observations that scan along Dec
-    both = (1 - share) * amplitude + share * across
-    return modes.mean((both.real**2 + both.imag**2).ravel())
+    modes, tracks = bins[0].frequencies.modes, track_motions(setup)
+    smeared = np.exp(-smearing_variance(setup.scene.pointing_errors) / 2 * np.abs(modes.wave) ** 2)
+    amplitude = [item.signal_amplitude().reshape(modes.wave.shape) * smeared for item in bins]
+    return turned_power(modes, np.array(amplitude), tracks.directions, tracks.place_share)

@@ -13,13 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mapmaker.chunks import row_chunks
-from mapmaker.geometry import boresight_pixels
-from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.dated_weather import DatedWeather
 from surveysim.atmosphere.weather import Water, Weather, draw_weather, slant_b2
 from surveysim.forecasting.fitted_modes import NO_FITTED_MODES, FittedModes, template_modes
 from surveysim.forecasting.mode_response import ProjectedArray, layer_waves
+from surveysim.forecasting.track_motions import track_motions
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.once import keep_last
@@ -39,15 +37,11 @@ from surveysim.timestreams.simulation import (
     ObservingSetup,
     camera_white,
     drawn_offsets,
-    observation_path,
 )
 
 _NUMBERS = 5  # random numbers of a draw: four of the weather, one for the observation
 _SHIFTS = 8  # random shifts of the lattice of draws; their scatter is the error of the mean
 _DRAWS_A_SHIFT = 256
-_HIT_SAMPLES = 3e7  # of the observations that represent the coverage
-_FEWEST_HITS, _MOST_HITS = 4, 48
-_MOST_HIT_SAMPLES = 3e7  # of one of them; larger ones are thinned in time
 
 Correlation = np.ndarray | NoiseCorrelation | None  # between detectors; None for independent ones
 NoiseCorrelations = tuple[list[Correlation], Correlation]
@@ -72,10 +66,14 @@ class ObservingConditions:
         Amplitude B2 sin(el)^(1 - b) of the layer, with the B2 of `slant_b2`.
     sine : (n_draw,)
         Sine of the elevation.
-    angle : (n_draw,)
-        Position angle of the array from the scan direction [rad].
-    motion : (n_draw, 2)
-        Complex velocity of forward and backward scans against the layer [rad/s].
+    angle : (n_draw, n_speed, n_direction)
+        Position angle of the array from the line of motion [rad].
+    motion : (n_draw, n_speed, n_direction)
+        Complex velocity against the layer in the frame of the motion, at nodes of its speed and direction [rad/s].
+    speed_share : (n_draw, n_speed)
+        Weight of each node of speed; they sum to 1.
+    wind_rad_s : (n_draw,)
+        Speed of the layer.
     load_k : (n_draw,)
         Load beyond that at calibration, by the elevation.
     gain : (n_draw,)
@@ -91,20 +89,19 @@ class ObservingConditions:
     sine: np.ndarray
     angle: np.ndarray
     motion: np.ndarray
+    speed_share: np.ndarray
+    wind_rad_s: np.ndarray
     load_k: np.ndarray
     gain: np.ndarray
 
 
 class _ObservationGeometry(NamedTuple):
-    """Pointing of observations (n,): mean of sin(el)^(1 - b), elevation, parallactic and array angle, scan direction
-    from RA.
-    """
+    """Pointing of observations (n,): mean of sin(el)^(1 - b), elevation, parallactic and array angle."""
 
     slant: np.ndarray
     elevation_rad: np.ndarray
     parallactic_rad: np.ndarray
     array_angle_rad: np.ndarray
-    turn_rad: np.ndarray
 
 
 def survey_draws(setup: Setup, first: int, end: int) -> list[Draw]:
@@ -181,7 +178,10 @@ def population_conditions(setup: Setup) -> tuple[ObservingConditions, int]:
 def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingConditions:
     """Compute the observing conditions of some draws."""
     numbers, weather = zip(*draws, strict=True)
-    slant, elevation, parallactic, array_angle, turn = _geometry(setup.observing, np.array(numbers))
+    slant, elevation, parallactic, array_angle = _geometry(setup.observing, np.array(numbers))
+    tracks = track_motions(setup)
+    track = tracks.track_of[list(numbers)]
+    turn = tracks.turn_rad[track]
     unshared, shared, detector, stop = _white_noise(setup, elevation, weather)
     load_k = _load_changes(setup, elevation, weather)
     b2, layer, wind = np.zeros(len(weather)), np.zeros(len(weather)), np.zeros(len(weather), complex)
@@ -189,9 +189,7 @@ def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingCondit
         b2 = np.array([item.b2 for item in weather])
         layer = slant_b2(setup.air.water, weather, elevation) * slant
         azimuth, height = np.array([item.wind_rad_s for item in weather]).T
-        # Azimuth and elevation on the sky, then in the frame of the scan.
-        wind = np.exp(-1j * parallactic) * (-azimuth + 1j * height) * np.exp(-1j * turn)
-    speed = setup.observing.scans.speed_rad_s
+        wind = np.exp(-1j * parallactic) * (-azimuth + 1j * height)  # from azimuth and elevation to xi and eta
     return ObservingConditions(
         white=unshared,
         shared=shared,
@@ -200,9 +198,11 @@ def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingCondit
         excess=_excess(setup, b2),
         layer=layer,
         sine=np.sin(elevation),
-        angle=array_angle + turn,
-        # A backward scan is a forward scan in a frame rotated by half a turn.
-        motion=np.stack([speed - wind, speed + wind], axis=1),
+        # A backward scan is a forward scan in a frame rotated by half a turn, with the conjugate response.
+        angle=array_angle[:, None, None] + np.mod(turn, np.pi),
+        motion=tracks.speed_rad_s[:, None] - wind[:, None, None] * np.exp(-1j * turn),
+        speed_share=tracks.share[track],
+        wind_rad_s=np.abs(wind),
         load_k=load_k,
         gain=_gains(setup, load_k),
     )
@@ -265,8 +265,7 @@ def _geometry(observing: ObservingSetup, numbers: np.ndarray) -> _ObservationGeo
         slant = np.mean(np.sin(elevation) ** (1 - air.spectral_index), axis=1)
     camera_angle = np.array([drawn_offsets(observing, number)[1] for number in distinct.tolist()])
     middle = parallactic[:, parallactic.shape[1] // 2]
-    turn = distinct % 2 * np.pi / 2  # scans along Dec
-    found = slant, elevation.mean(axis=1), middle, middle + camera_angle, turn
+    found = slant, elevation.mean(axis=1), middle, middle + camera_angle
     return _ObservationGeometry(*(item[place] for item in found))
 
 
@@ -347,25 +346,3 @@ def removed_modes(
     common = array.phases(2 * np.pi * layer.alpha).mean(axis=0)
     power = layer.power[0] * (common.real**2 + common.imag**2)
     return template_modes((layer.alpha * motion).real, power, seconds).scaled(share)
-
-
-def mean_hits(setup: Setup, pipeline: CleaningPipeline) -> np.ndarray:
-    """Mean hits of one observation on the scored patch (n, n), from a sample of observations over the survey."""
-    from mapmaker.kernels.pixels import count_samples
-
-    n_obs, geometry = setup.scene.observations, setup.analysis.geometry
-    plane: FocalPlane = setup.camera.focal_plane.subset(pipeline.rows)
-    samples = len(plane.x_rad) * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
-    every = max(1, int(samples // _MOST_HIT_SAMPLES))
-    wanted = min(n_obs, int(np.clip(_HIT_SAMPLES / samples, _FEWEST_HITS, _MOST_HITS)))
-    # In pairs of both scan directions.
-    numbers = np.unique(np.minimum(2 * (np.arange(wanted) * n_obs // wanted // 2) + np.arange(wanted) % 2, n_obs - 1))
-    hits = np.zeros(geometry.n_x * geometry.n_y, np.int64)
-    for number in numbers:
-        _, pointing = observation_path(setup.observing, int(number))
-        angle = pointing.array_angle_rad[::every]
-        boresight = pointing.xi_rad[::every], pointing.eta_rad[::every], angle
-        for rows in row_chunks(len(plane.x_rad), len(angle)):
-            count_samples(boresight_pixels(geometry, *boresight, plane=plane.subset(rows)), hits)
-    patch = setup.analysis.region.patch
-    return hits.reshape(geometry.n_y, geometry.n_x)[patch, patch] * every / len(numbers)

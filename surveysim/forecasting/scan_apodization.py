@@ -3,7 +3,7 @@
 `surveysim.forecasting.mode_response` states H, and how the removal of means and of fitted modes enters it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,6 +30,8 @@ class ScanApodization:
         Modes in time that scans lose, besides their mean.
     fitted_transfer : (n, n_f)
         Transform of the taper times each fitted mode.
+    slack_s
+        Time over which the middle of the taper is spread evenly about the middle of the scan.
     """
 
     duration_s: float
@@ -37,6 +39,7 @@ class ScanApodization:
     per_step: float
     fitted_modes: FittedModes
     fitted_transfer: np.ndarray
+    slack_s: float = 0.0
 
     def at(self, frequency_hz: np.ndarray) -> np.ndarray:
         """Evaluate w at frequencies of any shape and sign; 0 beyond the table."""
@@ -73,11 +76,11 @@ class ScanApodization:
             raise ValueError(
                 f"found gain {gain.shape} and power {power.shape}; ({n_k}, {n_a}) and (n, {n_a}) are expected"
             )
-        mean = np.sinc(frequency_hz * self.duration_s)
+        mean, loose = np.sinc(frequency_hz * self.duration_s), 1 - np.sinc(frequency_hz * self.slack_s)
         lost = np.ascontiguousarray(self.fitted_modes.wave_components(frequency_hz, self.duration_s).T)
         arrays = (np.ascontiguousarray(array, dtype=np.float64) for array in (gain, power, frequency_hz, at_hz))
         losses = self.fitted_modes.share, self.mode_components(at_hz), lost
-        return apodized_sums(*arrays, self.transfer, self.per_step, mean, *losses)
+        return apodized_sums(*arrays, self.transfer, self.per_step, mean, loose, *losses)
 
     def mode_components(self, at_hz: np.ndarray) -> np.ndarray:
         """Project map modes at frequencies (n_f,), seen through the taper, on the fitted modes: (n_f, n)."""
@@ -131,6 +134,7 @@ def scan_apodization(
     size_rad: float,
     taper_fraction: float,
     fitted_modes: FittedModes = NO_FITTED_MODES,
+    centred: bool = True,
 ) -> ScanApodization:
     """Transform the map's taper along a scan through its middle.
 
@@ -142,12 +146,14 @@ def scan_apodization(
         Full width of the taper, and the fraction of it in the two cosine edges (`mapmaker.spectrum.tukey_taper`).
     fitted_modes
         Modes in time that the scan loses.
+    centred
+        Whether the middle of the scan crosses the middle of the taper. That of a curved chunk does at any time.
     """
     length = min(duration_s, size_rad / speed_rad_s)
     step = length / _TAPER_STEPS
-    return apodization_of(
-        duration_s, tukey(_TAPER_STEPS, step * speed_rad_s, size_rad, taper_fraction), step, fitted_modes
-    )
+    taper = tukey(_TAPER_STEPS, step * speed_rad_s, size_rad, taper_fraction)
+    found = apodization_of(duration_s, taper, step, fitted_modes)
+    return found if centred else replace(found, slack_s=duration_s - length)
 
 
 def hann_apodization(duration_s: float, fitted_modes: FittedModes = NO_FITTED_MODES) -> ScanApodization:

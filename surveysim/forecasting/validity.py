@@ -169,8 +169,7 @@ def _repeated_layer(path: ScanSection, radius_rad: float, inputs: EffectInputs) 
     if inputs.pipeline.steps == ("none",):
         size, where = float(parts.sum()), "Scans share trends of the layer in any wind"
     else:
-        wind = np.abs(inputs.conditions.motion - path.speed_rad_s).mean(axis=1)
-        travel = wind * (path.duration_s + path.turnaround_s)
+        travel = inputs.conditions.wind_rad_s * (path.duration_s + path.turnaround_s)
         slow = travel < 2 * radius_rad
         size = float(parts[slow].sum())
         where = f"In {_percent(slow.mean())} of the observations consecutive scans see the same part of the layer"

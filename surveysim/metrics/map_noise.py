@@ -9,8 +9,8 @@ import numpy as np
 from mapmaker.matched_filter import profile_power
 from mapmaker.spectrum import ring_mean
 from mapmaker.transfer_function import pixel_window
+from surveysim.forecasting.coverage import mean_hits
 from surveysim.forecasting.forecast import DataSetForecast
-from surveysim.forecasting.observing_conditions import mean_hits
 from surveysim.reduction.scored_region import mapped_signal
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.once import keep_last

@@ -182,3 +182,10 @@ def of_paper(items: Sequence[str]) -> Results:
         else:
             names += [f"{part}_{kind}.ecsv" for part in ("measurements", "recovered")]
     return Results("paper", "", "", tuple(names), piecewise=True)
+
+
+def of_explanation(ingredients: Sequence[str], identity: str) -> Results:
+    """Return the results of an explanation of the paper's findings with some ingredients; `identity` is their hash."""
+    names = ["summary.json", "report.html", "explain.ecsv", "second_layer.ecsv", "second_layer.png"]
+    names += [f"observations_{name}.ecsv" for name in ingredients]
+    return Results("paper --explain", "", identity, tuple(names), piecewise=True)

@@ -134,7 +134,12 @@ def measure_survey(scenes: list[Scene], engine: Engine, progress: Callable[[], N
             measurements.append(item)
             names.append(scene.name)
             progress()
-    bins, air = camera_pairs(setup), scenes[0].atmosphere
+    return fit_survey(setup, tuple(names), tuple(measurements))
+
+
+def fit_survey(setup: Setup, scene_of: tuple[str, ...], measurements: tuple[Measurement, ...]) -> MeasuredSurvey:
+    """Fit the turbulence of measured observations (n_obs,) of the scenes named `scene_of`; `setup` is the first."""
+    bins, air = camera_pairs(setup), setup.scene.atmosphere
     grid = correlation_grid(
         bins.theta_rad,
         index=INDEX_GRID,
@@ -145,7 +150,7 @@ def measure_survey(scenes: list[Scene], engine: Engine, progress: Callable[[], N
         lowest_rad=min(float(item.elevation_rad.min()) for item in measurements),
     )
     overlap = shared_overlap(setup, bins)
-    wind, seconds = air.wind_median_rad_s, scenes[0].scan.duration_s
+    wind, seconds = air.wind_median_rad_s, setup.scene.scan.duration_s
     fits = tuple(
         fit_turbulence(
             item.profile,
@@ -157,7 +162,7 @@ def measure_survey(scenes: list[Scene], engine: Engine, progress: Callable[[], N
         )
         for item in measurements
     )
-    return MeasuredSurvey(setup, tuple(names), tuple(measurements), bins, grid, overlap, fits)
+    return MeasuredSurvey(setup, scene_of, measurements, bins, grid, overlap, fits)
 
 
 def shared_overlap(setup: Setup, bins: PairBins) -> np.ndarray | None:

@@ -21,6 +21,7 @@ from mapmaker.spectrum import mode_ell, mode_multiplicity, mode_psd, tukey_taper
 from mapmaker.stream_psd import hann_psd, low_frequency_variance, white_level
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.wind import WindFit, measure_wind, scan_velocities
+from surveysim.atmosphere.layers import dominant_wind
 from surveysim.atmosphere.weather import Weather, slant_b2
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.runtime.errors import InsufficientDataError
@@ -134,7 +135,7 @@ def measure(setup: Setup, streams: Timestreams, observation: int) -> Measurement
     seconds = samples_per_scan(setup.observing.scans) / rate
     cleaned = {name: _clean(setup, streams, name) for name in supported_cleanings(setup)}
     variance, white = map_variances(setup, streams, pointing, cleaned["average"])
-    bins, truth = camera_pairs(setup), observation_weather(setup, observation)
+    bins, truth = camera_pairs(setup), dominant_wind(setup.scene.atmosphere, observation_weather(setup, observation))
     return Measurement(
         observation=observation,
         truth=truth,

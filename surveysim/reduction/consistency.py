@@ -23,8 +23,9 @@ from surveysim.scene.scene import Scene
 from surveysim.telescope.directions import Site
 from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.noise_levels import WhiteLevels, white_levels
+from surveysim.telescope.patterns.azimuth import AzimuthSweeps, half_throw_rad
 from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, near_angles
-from surveysim.telescope.scans import Scans, samples_per_scan
+from surveysim.telescope.scans import Scans, mid_times, samples_per_scan
 from surveysim.timestreams.lost_data import most_dead
 
 MAX_REACH_RAD = math.radians(15)
@@ -36,12 +37,13 @@ SCANS_AT_ONCE = 200_000  # scans whose angles are checked together
 MAX_COEFFICIENTS = 3e7  # coefficients of a curved sky: 2 GB of memory, minutes of computing
 MAX_TURN_BEAMS = 0.1  # largest motion of the array's edge by the rotation of the sky in half a scan, in beams
 MAX_AIRMASS_CHANGE = 0.02  # largest relative change in half a scan: 2.7 % of the layer's amplitude at an index of 11/3
+MAX_THROW_RAD = math.pi  # of a sweep in azimuth: longer ones turn about the zenith
 FEW_MODES = 64  # modes along an axis among which an empty bin is found, if there is one
 MOST_BINS = 1_000_000
 MAX_MODES = 10_000  # the eigenvalues of so many take some minutes a scan
 
 
-def check_templates(scene: Scene, cam: Camera) -> None:
+def check_templates(scene: Scene, cam: Camera, scans: Scans) -> None:
     """Raise SceneError if the templates have no atmosphere to follow, or too few detectors."""
     section = scene.cleaning
     n_det = len(cam.focal_plane.x_rad)
@@ -59,18 +61,29 @@ def check_templates(scene: Scene, cam: Camera) -> None:
                 f"cleaning.{key}: found 'pca' with {n_det} detectors and scans of {samples} samples; "
                 f"{MAX_MODES} or fewer of one are expected, as it takes all eigenvalues of the smaller number"
             )
-        if "wind" in steps and scene.scan.scans < MIN_SCANS:
-            raise SceneError(
-                f"cleaning.{key}: found 'wind' with {scene.scan.scans} scans; {MIN_SCANS} or more are expected to"
-                " measure it"
-            )
-        cycles = scene.scan.duration_s * HIGHEST_HZ
-        if "wind" in steps and (cycles < LEAST_CYCLES or scene.scan.sample_rate_hz <= 2 * HIGHEST_HZ):
-            raise SceneError(
-                f"cleaning.{key}: found 'wind' with scans of {scene.scan.duration_s:g} s at"
-                f" {scene.scan.sample_rate_hz:g} Hz; {LEAST_CYCLES / HIGHEST_HZ:g} s or more at more than"
-                f" {2 * HIGHEST_HZ:g} Hz are expected to measure it"
-            )
+        if "wind" in steps:
+            _check_wind(scene, key, scans)
+
+
+def _check_wind(scene: Scene, key: str, scans: Scans) -> None:
+    """Raise SceneError for scans that do not tell the wind."""
+    if not scans.straight:
+        raise SceneError(
+            f"cleaning.{key}: found 'wind' with the pattern {scene.scan.pattern!r}; straight scans at constant speed,"
+            " as in a raster without turnarounds, are expected, as the delays of the layer change along others"
+        )
+    if scene.scan.scans < MIN_SCANS:
+        raise SceneError(
+            f"cleaning.{key}: found 'wind' with {scene.scan.scans} scans; {MIN_SCANS} or more are expected to measure"
+            " it"
+        )
+    cycles = scene.scan.duration_s * HIGHEST_HZ
+    if cycles < LEAST_CYCLES or scene.scan.sample_rate_hz <= 2 * HIGHEST_HZ:
+        raise SceneError(
+            f"cleaning.{key}: found 'wind' with scans of {scene.scan.duration_s:g} s at"
+            f" {scene.scan.sample_rate_hz:g} Hz; {LEAST_CYCLES / HIGHEST_HZ:g} s or more at more than"
+            f" {2 * HIGHEST_HZ:g} Hz are expected to measure it"
+        )
 
 
 def _check_fits(scene: Scene, key: str, steps: tuple[str, ...]) -> None:
@@ -131,19 +144,19 @@ def check_size(scene: Scene, n_det: int, extent_rad: float) -> None:
     scan = scene.scan
     if extent_rad > MAX_REACH_RAD:
         raise SceneError(
-            f"scan: found a map that reaches {math.degrees(extent_rad):.4g} deg from its centre with this speed, "
-            f"duration, step, dither and camera; {math.degrees(MAX_REACH_RAD):g} deg or less is expected"
+            f"scan: found a map that reaches {math.degrees(extent_rad):.4g} deg from its centre with this scan, "
+            f"dither and camera; {math.degrees(MAX_REACH_RAD):g} deg or less is expected"
         )
     side = 2 * extent_rad / scene.map.pixel_rad
     if side > MAX_SIDE_PIXELS:
         raise SceneError(f"map.pixel: found a map of {side:.4g} pixels a side; {MAX_SIDE_PIXELS} or less are expected")
-    samples = n_det * scan.scans * scan.duration_s * scan.sample_rate_hz
+    samples = n_det * scan.scans * scan.scan_s * scan.sample_rate_hz
     if samples > MAX_DETECTOR_SAMPLES:
         raise SceneError(
             f"scan.sample_rate: found {samples:.3g} detector-samples an observation; "
             f"{MAX_DETECTOR_SAMPLES:g} or less are expected"
         )
-    boresight = scan.scans * scan.duration_s * scan.sample_rate_hz
+    boresight = scan.scans * scan.scan_s * scan.sample_rate_hz
     if boresight > MAX_SAMPLES:
         raise SceneError(
             f"scan.sample_rate: found {boresight:.3g} samples an observation; {MAX_SAMPLES:g} or less are expected"
@@ -155,23 +168,28 @@ def check_size(scene: Scene, n_det: int, extent_rad: float) -> None:
         )
 
 
-def check_motion(scene: Scene, cam: Camera, site: Site, starts: Schedule, mid_time_s: np.ndarray) -> float:
-    """Raise SceneError for scans in which the rotation of the sky or the change of airmass is not negligible.
+def check_motion(scene: Scene, cam: Camera, site: Site, starts: Schedule, scans: Scans) -> float:
+    """Raise SceneError where the pointing departs too far from the model of the layer or from sweeps in azimuth.
 
-    Exact angles are computed only for scans that may exceed the limits at the largest possible rates for their
-    elevation.
+    A straight scan has the layer at one airmass and one array angle. Exact angles are computed only for scans that may
+    exceed the limits at the largest possible rates for their elevation. Other patterns have angles of each sample.
 
     Returns
     -------
     float
         Lowest elevation [rad] of all scans.
     """
+    mid_time_s = mid_times(scans)
     lowest = math.inf
     step = max(1, SCANS_AT_ONCE // len(mid_time_s))
     for first in range(0, len(starts.start_mjd), step):
         some = np.arange(first, min(first + step, len(starts.start_mjd)))
         elevation, parallactic = near_angles(site, starts.some(some), mid_time_s)
         lowest = min(lowest, float(elevation.min()))
+        if isinstance(scans, AzimuthSweeps):
+            _check_throw(scans, float(elevation.max()))
+        if not scans.straight:
+            continue
         _check_some_motion(
             scene,
             cam,
@@ -213,6 +231,15 @@ def _check_some_motion(
             number, up = int(which[rows[place]]), elevation_rad[rows[place]]
             _check_turn(number, up, turn[place], cam.radius_rad, allowed_rad)
             _check_airmass(number, up, change[place])
+
+
+def _check_throw(scans: AzimuthSweeps, up_rad: float) -> None:
+    throw_rad = 2 * half_throw_rad(scans) / (1.0 if scans.in_azimuth else max(math.cos(up_rad), 1e-9))
+    if throw_rad > MAX_THROW_RAD:
+        raise SceneError(
+            f"scan.throw: found sweeps of {math.degrees(throw_rad):.4g} deg in azimuth with their turnarounds, at"
+            f" {math.degrees(up_rad):.1f} deg elevation; {math.degrees(MAX_THROW_RAD):g} deg or less is expected"
+        )
 
 
 def _check_turn(number: int, up_rad: np.ndarray, turn_rad: np.ndarray, radius_rad: float, allowed_rad: float) -> None:

@@ -1,7 +1,7 @@
 """Limits that are checked before a run: the longest strip of the turbulent layer in the worst weather, and memory."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -20,6 +20,7 @@ from surveysim.telescope.scans import Scans, samples_per_scan
 from surveysim.timestreams.simulation import AirSetup
 
 if TYPE_CHECKING:
+    from surveysim.atmosphere.curved_limits import BoresightMotion
     from surveysim.atmosphere.screen_simulation import SlantStrips
 
 PROGRAM_BYTES = 250e6  # Python and the libraries
@@ -37,11 +38,13 @@ def check_layer(
     radius_rad: float,
     scans: Scans,
     lowest_rad: float,
+    curved: "Sequence[BoresightMotion]" = (),
 ) -> int:
     """Check the weather and the longest strip of each turbulent layer in a run.
 
     The weather of up to `MOST_DRAWN` observations is drawn. For larger surveys it is an extreme that hardly any survey
-    of their length exceeds. A strip is as long as the longest track at the lowest elevation.
+    of their length exceeds. A strip is as long as the longest track at the lowest elevation. For scans that are not
+    straight it holds the tracks of some observations, `curved`.
 
     Returns
     -------
@@ -60,6 +63,8 @@ def check_layer(
         wind = _drawn_wind(scene.atmosphere, air.water, scene.seed, scene.observations, dated=air.dated)
     else:
         wind = fastest_wind(scene.atmosphere, air.water, scene.observations, dated=air.dated)
+    if curved:
+        return sum(_check_curved(layer.strips, wind * layer.fastest_factor, curved) for layer in air.layers)
     return sum(
         _check_strip(
             layer.strips, wind * layer.fastest_factor, radius_rad=radius_rad, scans=scans, lowest_rad=lowest_rad
@@ -94,6 +99,15 @@ def _check_strip(
             f"atmosphere: {error} (tracks through the layer are up to {math.degrees(longest):.3g} deg long, in wind of"
             f" {wind:.3g} arcmin / s)"
         ) from None
+
+
+def _check_curved(strips: "SlantStrips", wind_rad_s: float, motions: "Sequence[BoresightMotion]") -> int:
+    from surveysim.atmosphere.curved_limits import check_curved_strips
+
+    try:
+        return check_curved_strips(strips, wind_rad_s, motions)
+    except OutOfRangeError as error:
+        raise SceneError(f"atmosphere: {error}") from None
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,10 @@ from surveysim.reduction.consistency import (
     check_templates,
     sky_coefficients,
 )
+from surveysim.reduction.curved_tracks import curved_motions
 from surveysim.reduction.detector_weights import beams_of, detector_weights
+from surveysim.reduction.layer_checks import check_changes
+from surveysim.reduction.mount_check import check_mount
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
 from surveysim.reduction.response_checks import check_response
 from surveysim.reduction.scored_region import padded_side, patch_side
@@ -46,7 +49,7 @@ from surveysim.telescope.pointing import Schedule
 from surveysim.telescope.pointing_errors import true_focal_plane
 from surveysim.telescope.responsivity import assumed_responsivity, camera_responsivity
 from surveysim.telescope.scan_pattern import ScanPattern, scan_pattern
-from surveysim.telescope.scans import Scans, duration_s, mid_times, samples_per_scan
+from surveysim.telescope.scans import Scans, duration_s, samples_per_scan
 from surveysim.telescope.table_checks import check_table
 from surveysim.telescope.time_constants import assumed_time_constants, true_time_constants
 from surveysim.timestreams.scan_blocks import Block, scan_blocks
@@ -58,6 +61,7 @@ from surveysim.timestreams.simulation import (
     ObservingSetup,
     Simulation,
     SkySetup,
+    field_centre,
     observing_schedule,
     observing_site,
 )
@@ -132,8 +136,8 @@ def _common(scene: Scene) -> _Common:
             check_table(item, cameras[name])
     extent = camera_extent([cameras[name] for name in sorted(cameras)])  # to the last bit the same in all bands
     pattern = scan_pattern(scene.scan)
-    scans = pattern.scans(scene.scan)
-    reach = _reach(pattern.extent_rad(scans) + scans.dither_rad / 2, extent.radius_rad)
+    scans = pattern.scans(scene.scan, field_centre(scene), observing_site(scene) if scene.schedule else None)
+    reach = _reach(pattern.extent_rad(scans, _lowest_allowed(scene)) + scans.dither_rad / 2, extent.radius_rad)
     for name, item in bands.items():
         with errors_of(item, scene):
             check_size(item, cameras[name].n_det, reach)
@@ -159,6 +163,11 @@ def _reach(extent_rad: float, radius_rad: float) -> float:
     """Bound of a detector's offsets in the tangent plane [rad], for boresights up to an extent along both axes."""
     depth = 1 - math.sqrt(2) * extent_rad * radius_rad
     return (extent_rad + math.sqrt(1 + 2 * extent_rad**2) * radius_rad) / depth if depth > 0 else math.inf
+
+
+def _lowest_allowed(scene: Scene) -> float:
+    """Lowest elevation [rad] of the field's centre that the scene allows."""
+    return scene.schedule.min_elevation_rad if scene.schedule else scene.fixed_pointing.elevation_rad
 
 
 def _simulation(scene: Scene, common: _Common) -> Simulation:
@@ -195,7 +204,8 @@ def _simulation(scene: Scene, common: _Common) -> Simulation:
 def _prepare(scene: Scene) -> Setup:
     common = _common(scene)
     cam, scans, geometry = common.cameras[scene.band_name], common.scans, common.geometry
-    check_templates(scene, cam)
+    check_mount(scene, common.pattern, scans, common.times)
+    check_templates(scene, cam, scans)
     check_dead_time(scene, cam)
     for band in (scene, *scene.others):
         check_groups(band, common.cameras[band.band_name])
@@ -208,11 +218,12 @@ def _prepare(scene: Scene) -> Setup:
     check_healpix(scene)
     check_excess(scene)
     check_response(scene)
+    check_changes(scene)
     check_sky(scene, common.sky_geometry)
     scene_pipelines = pipelines(scene.cleaning, masked)
     _check_blocks(scene, common, scene_pipelines)
     drawn = _simulation(scene, common)
-    lowest = _lowest(scene, cam, common.times, mid_times(scans))
+    lowest = _lowest(scene, cam, common.times, scans)
     weight = detector_weights(drawn.camera, check_levels(scene, drawn.air.water, lowest))
     check_sources(scene, common.sky_geometry)
     others = _others(scene, common) if "spectral" in scene.cleaning.named else ()
@@ -237,7 +248,8 @@ def _prepare(scene: Scene) -> Setup:
         if item.camera.n_det > MOST_DENSE:
             _check_torus(item.camera)
     radius = common.extent.radius_rad
-    elements = check_layer(scene, drawn.air, radius_rad=radius, scans=scans, lowest_rad=lowest)
+    motions = curved_motions(scene, common.pattern, scans, common.times)
+    elements = check_layer(scene, drawn.air, radius_rad=radius, scans=scans, lowest_rad=lowest, curved=motions)
     check_memory(needed_memory(scene, _sizes(setup, elements)))
     return setup
 
@@ -316,11 +328,11 @@ def _geometry(scene: Scene, extent_rad: float, pixel_rad: float) -> MapGeometry:
     return covering_geometry(scene.field.ra_rad, scene.field.dec_rad, pixel_rad, extent_rad)
 
 
-def _lowest(scene: Scene, cam: Camera, times: Schedule | None, mid_time_s: np.ndarray) -> float:
-    """Lowest elevation of all scans [rad]; raises SceneError where the sky moves too far within one."""
+def _lowest(scene: Scene, cam: Camera, times: Schedule | None, scans: Scans) -> float:
+    """Lowest elevation of the field at all scans [rad]; raises SceneError where the sky moves too far within one."""
     if times is None:
         return scene.fixed_pointing.elevation_rad
-    return check_motion(scene, cam, observing_site(scene), times, mid_time_s)
+    return check_motion(scene, cam, observing_site(scene), times, scans)
 
 
 def _water(scene: Scene, dated: DatedWeather | None) -> Water | None:

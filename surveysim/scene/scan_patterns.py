@@ -7,10 +7,12 @@ from pydantic import Field
 from surveysim.scene.fields import AngleExtent, Duration, DurationExtent, Speed, whole
 from surveysim.scene.scan_figures import DaisyScan, LissajousScan, PongScan
 from surveysim.scene.scan_section import MOST_SCANS, ScanSection
+from surveysim.scene.scan_sweeps import AzimuthScan, SweepScan
+from surveysim.scene.scan_track import TrackScan
 from surveysim.scene.unions import union_of
 
 
-class RasterScan(ScanSection):
+class RasterScan(SweepScan):
     """Raster of one observation: parallel scans in alternating directions, along right ascension in one observation and
     declination in the next."""
 
@@ -23,7 +25,7 @@ class RasterScan(ScanSection):
     duration_s: Duration = Field(alias="duration")
     """Duration of one scan without turnaround; 8 samples or more."""
     turnaround_s: DurationExtent = Field(alias="turnaround")
-    """Duration of the turnaround between two scans, which is not simulated."""
+    """Duration of the turnaround between two scans."""
     step_rad: AngleExtent = Field(alias="step")
     """Distance between neighbouring scans."""
 
@@ -33,7 +35,7 @@ class RasterScan(ScanSection):
         return self.speed_rad_s
 
 
-SCAN_SECTIONS: tuple[type[ScanSection], ...] = (RasterScan, DaisyScan, LissajousScan, PongScan)
+SCAN_SECTIONS: tuple[type[ScanSection], ...] = (RasterScan, AzimuthScan, DaisyScan, LissajousScan, PongScan, TrackScan)
 
 
 if TYPE_CHECKING:

@@ -23,7 +23,9 @@ class ScanSection(Section):
     scans
         Number of scans in one observation.
     duration_s, turnaround_s
-        Duration of one scan, and of the time between two.
+        Duration of one scan without turnarounds, and of the turnaround between two.
+    scan_s, gap_s
+        Duration of one scan as it is simulated, and of the time between two.
     duration_key
         Key that sets the duration of a scan.
     """
@@ -40,6 +42,21 @@ class ScanSection(Section):
     def needs_horizon(self) -> str:
         """Key and value that need the horizon of a schedule; empty without any."""
         return ""
+
+    @property
+    def most_observations(self) -> int | None:
+        """Number of observations that the pattern has; None for any."""
+        return None
+
+    @property
+    def scan_s(self) -> float:
+        """Duration of a scan."""
+        return self.duration_s
+
+    @property
+    def gap_s(self) -> float:
+        """Time between two scans."""
+        return self.turnaround_s
 
     if TYPE_CHECKING:
 

@@ -40,6 +40,7 @@ from surveysim.scene.scan_section import MIN_SAMPLES
 from surveysim.scene.section import Section
 from surveysim.scene.shipped import MAX_NAME, NAME, find_scene, is_name, no_such_scene
 from surveysim.scene.sites import OWN
+from surveysim.scene.telescope import TelescopeSection
 from surveysim.scene.units import file_value, shown
 
 MAX_BYTES = 300_000  # largest scene file; typical ones have 5 kB with comments
@@ -87,6 +88,8 @@ class ObservationSections(Section):
     optics: Optics | None = None
     """Photon noise, beam and flux calibration follow from it where they are left out."""
     scan: AnyScan
+    telescope: TelescopeSection | None = None
+    """Without it no track is refused as too fast."""
 
 
 class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSections):
@@ -144,6 +147,8 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
             raise ValueError("exactly one of the sections 'schedule' and 'fixed_pointing' is expected")
         if self.fixed_pointing and (found := self.scan.needs_horizon):
             raise ValueError(f"scan.{found} with [fixed_pointing]; a section [schedule] is expected in its place")
+        if (most := self.scan.most_observations) is not None and self.observations > most:
+            raise ValueError(f"observations: found {self.observations}; {most} or fewer are expected, as in scan.file")
         if self.excess and len(self.excess.b2) > 1 and self.atmosphere is None:
             raise ValueError("excess.b2: found several values; without [atmosphere] one value is expected")
         if self.atmosphere and self.atmosphere.site and not self.instrument.band.width_hz:
@@ -342,7 +347,7 @@ def survey_hash(scene: Scene) -> str:
 
 def _content(scene: Scene, excluded: Mapping[str, Any]) -> dict[str, Any]:
     """Values of a scene without some keys; of other bands all that the results depend on."""
-    content = scene.model_dump(exclude={**excluded, "band": True, "optimise": True})
+    content = scene.model_dump(exclude={**excluded, "band": True, "optimise": True, "telescope": True})
     if isinstance(scene.scan, RasterScan):
         del content["scan"]["pattern"]  # as of scenes from before there were other patterns
     if scene.band is None:

@@ -2,8 +2,8 @@
 
 The chain of ERFA that `directions.horizontal` calls, sample by sample: light deflection, aberration, precession and
 nutation, Earth rotation. The deflection is the field centre's for all directions. Precession, nutation and the
-observer's velocity are interpolated between nodes. Both are right to 0.01 arcsec within 15 degrees of the centre (for
-fields that are 5 degrees or more from the Sun).
+observer's velocity are interpolated between nodes. Directions within 15 degrees of the centre are right to 0.001 arcsec
+(0.1 arcsec for fields 5 degrees from the Sun).
 """
 
 import math
@@ -26,6 +26,19 @@ class HorizonFrame:
     field: FieldCentre
     site: Site
     start_mjd: float
+
+
+@dataclass(frozen=True)
+class Horizons:
+    """Horizons of all observations: the field, the site, and the starts (n_obs,) [MJD UTC]."""
+
+    field: FieldCentre
+    site: Site
+    start_mjd: np.ndarray
+
+    def of(self, observation: int) -> HorizonFrame:
+        """Horizon during one observation."""
+        return HorizonFrame(self.field, self.site, float(self.start_mjd[observation]))
 
 
 def to_horizon(

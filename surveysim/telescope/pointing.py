@@ -249,7 +249,7 @@ def observation_pointing(
             f"parallactic {parallactic_rad.shape}"
         )
     if frame is None:
-        azimuth, elevation, vertical = _fixed_horizon(path, elevation_rad[0], parallactic_rad[0])
+        azimuth, elevation, vertical = fixed_horizon(path, elevation_rad[0], parallactic_rad[0])
     else:
         azimuth, elevation, vertical = to_horizon(frame, path.time_s, path.xi_rad, path.eta_rad)
     return Pointing(
@@ -271,10 +271,10 @@ def observation_pointing(
     )
 
 
-def _fixed_horizon(
+def fixed_horizon(
     path: ScanPath, elevation_rad: float, parallactic_rad: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Azimuth, elevation and vertical (n_samp,) about a field that stays at azimuth 0 without rotation."""
+    """Compute azimuth, elevation and vertical (n_samp,) about a field that stays at azimuth 0 without rotation."""
     cos, sin = np.cos(parallactic_rad), np.sin(parallactic_rad)
     across, along = path.eta_rad * sin - path.xi_rad * cos, path.xi_rad * sin + path.eta_rad * cos
     north, up = (

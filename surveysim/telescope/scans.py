@@ -33,6 +33,21 @@ class Scans:
     dither_rad: float
     sample_rate_hz: float
 
+    @property
+    def starts_mjd(self) -> np.ndarray | None:
+        """Starts (UTC) of the observations, where the pattern sets them and the schedule does not."""
+        return None
+
+    @property
+    def known_step_s(self) -> float:
+        """Time within which the path is an interpolation; 0 for a closed form."""
+        return 0.0
+
+    @property
+    def straight(self) -> bool:
+        """Whether the boresight has a constant velocity in every scan."""
+        return False
+
 
 @dataclass(frozen=True)
 class ScanPath:
@@ -70,8 +85,8 @@ def timing(section: ScanSection) -> dict[str, Any]:
         "speed_rad_s": section.speed_rad_s,
         "fastest_rad_s": section.fastest_rad_s,
         "n_scans": section.scans,
-        "scan_s": section.duration_s,
-        "turnaround_s": section.turnaround_s,
+        "scan_s": section.scan_s,
+        "turnaround_s": section.gap_s,
         "dither_rad": section.dither_rad,
         "sample_rate_hz": section.sample_rate_hz,
     }
@@ -92,6 +107,26 @@ def samples_per_scan(scans: Scans) -> int:
 def duration_s(scans: Scans) -> float:
     """Compute the time from the start of the first scan to the end of the last [s]."""
     return scans.n_scans * scans.scan_s + (scans.n_scans - 1) * scans.turnaround_s
+
+
+def sample_times(scans: Scans) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compute the times of all samples of an observation since its start.
+
+    Samples are at the middle of sampling intervals, symmetric about the middle of a scan; a remainder of the scan's
+    duration is split between both ends.
+
+    Returns
+    -------
+    time_s : (n_samp,)
+    scan : (n_samp,) int64
+        Number of the scan.
+    mid_time_s : (n_scan,)
+        Middle of each scan.
+    """
+    n, mid_s = samples_per_scan(scans), mid_times(scans)
+    from_mid_s = (np.arange(n) + 0.5 - n / 2) / scans.sample_rate_hz
+    scan = np.repeat(np.arange(scans.n_scans, dtype=np.int64), n)
+    return (mid_s[:, None] + from_mid_s).ravel(), scan, mid_s
 
 
 def mid_times(scans: Scans) -> np.ndarray:

@@ -11,7 +11,16 @@ from surveysim.atmosphere.layers import Layer
 from surveysim.atmosphere.weather import Weather, slant_b2
 from surveysim.runtime.rng import RandomPurpose
 from surveysim.telescope.pointing import Pointing, sky_vector
-from surveysim.timestreams.layer_views import AzElVector, LayerNumbers, LayerView, evolving_views, layer_wind
+from surveysim.timestreams.curved_layer import add_curved_layer
+from surveysim.timestreams.layer_views import (
+    AzElVector,
+    LayerNumbers,
+    LayerView,
+    evolving_views,
+    layer_wind,
+    mean_azimuth,
+    moved,
+)
 from surveysim.timestreams.observed_block import ObservedBlock
 from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.simulation import Simulation
@@ -51,18 +60,26 @@ def add_layers(
     block = block or Block(0, 0, len(pointing.scan_elevation_rad))
     for layer in setup.air.layers:
         numbers = LayerNumbers(setup.scene.seed, observation, realization, layer.part)
-        of = LayerView(pointing, block, layer_wind(layer, weather, pointing, numbers))
+        of = LayerView(pointing, block, layer_wind(layer, weather, pointing, numbers), mean_azimuth(pointing))
         if layer.section.decorrelation_time_s is None:
-            _add_frozen(layer, setup, of, b2=b2 * layer.b2_factor, numbers=numbers, data=data)
+            _add_realization(layer, setup, of, b2=b2 * layer.b2_factor, numbers=numbers, data=data)
         for number, view in evolving_views(layer, of, numbers):
             part = replace(numbers, part=f"{layer.part} realization {number}")
-            _add_frozen(layer, setup, view, b2=b2 * layer.b2_factor, numbers=part, data=data)
+            _add_realization(layer, setup, view, b2=b2 * layer.b2_factor, numbers=part, data=data)
 
 
-def _add_frozen(
+def _add_realization(
     layer: Layer, setup: Simulation, of: LayerView, *, b2: float, numbers: LayerNumbers, data: np.ndarray
 ) -> None:
     """Add one realization of a layer of some amplitude B2 to the streams of a block."""
+    add = _add_straight if of.pointing.straight else add_curved_layer
+    add(layer, setup, of, b2=b2, numbers=numbers, data=data)
+
+
+def _add_straight(
+    layer: Layer, setup: Simulation, of: LayerView, *, b2: float, numbers: LayerNumbers, data: np.ndarray
+) -> None:
+    """Add one realization of a layer to the streams of a block of straight scans."""
     from surveysim.atmosphere.scan_trends import draw_trends
     from surveysim.atmosphere.screen_simulation import add_along_tracks, scan_tracks
 
@@ -119,12 +136,5 @@ def _strip_points(
     begin, middle = pointing.time_s[first], (pointing.time_s[first] + pointing.time_s[last]) / 2
     slant = 1 / np.sin(pointing.scan_elevation_rad)[:, None]
     boresight = np.stack([pointing.xi_rad[first], pointing.eta_rad[first]], axis=-1) * slant
-    corner = boresight - _moved(layer_velocity_rad_s, middle, begin) + tracks.corner_rad
+    corner = boresight - moved(layer_velocity_rad_s, middle, begin) + tracks.corner_rad
     return strip_points(strips, corner, tracks.direction, tracks.length_rad)
-
-
-def _moved(velocity_rad_s: np.ndarray, middle_s: np.ndarray, begin_s: np.ndarray) -> np.ndarray:
-    """Integrate the velocity (n_scan, 2) of the layer at mid-scan to its displacement at the start of each scan."""
-    between = (velocity_rad_s[1:] + velocity_rad_s[:-1]) / 2 * np.diff(middle_s)[:, None]
-    until_middle = np.concatenate([np.zeros((1, 2)), np.cumsum(between, axis=0)])
-    return until_middle - velocity_rad_s * (middle_s - begin_s)[:, None]

@@ -53,6 +53,8 @@ class LayerView:
         Those of them that are drawn.
     wind_rad_s
         Angular velocity of the layer.
+    wind_azimuth_rad
+        Azimuth of the frame of the velocity, for scans over a wide range of azimuths.
     start
         First sample of the scans that are drawn, in the streams of the block of the observation.
     weight : (n_scan, n)
@@ -62,6 +64,7 @@ class LayerView:
     pointing: Pointing
     block: Block
     wind_rad_s: AzElVector
+    wind_azimuth_rad: float
     start: int = 0
     weight: np.ndarray | None = None
 
@@ -98,7 +101,7 @@ def evolving_views(layer: Layer, of: LayerView, numbers: LayerNumbers) -> Iterat
             block = Block(of.block.number, begin - first, stop - first)
             wind = _of_scans(of.wind_rad_s, first, end)
             start = int(samples.start - bounds[of.block.first, 0])
-            yield number, LayerView(of.pointing.scans(first, end), block, wind, start, weight)
+            yield number, LayerView(of.pointing.scans(first, end), block, wind, of.wind_azimuth_rad, start, weight)
 
 
 def _of_scans(wind_rad_s: AzElVector, first: int, end: int) -> AzElVector:
@@ -106,3 +109,15 @@ def _of_scans(wind_rad_s: AzElVector, first: int, end: int) -> AzElVector:
     if isinstance(azimuth, np.ndarray) and isinstance(elevation, np.ndarray):
         return azimuth[first:end], elevation[first:end]
     return wind_rad_s
+
+
+def mean_azimuth(pointing: Pointing) -> float:
+    """Mean azimuth of the samples of an observation."""
+    return math.atan2(np.sin(pointing.azimuth_rad).mean(), np.cos(pointing.azimuth_rad).mean())
+
+
+def moved(velocity_rad_s: np.ndarray, middle_s: np.ndarray, begin_s: np.ndarray) -> np.ndarray:
+    """Integrate the velocity (n_scan, 2) of the layer at mid-scan to its displacement at the start of each scan."""
+    between = (velocity_rad_s[1:] + velocity_rad_s[:-1]) / 2 * np.diff(middle_s)[:, None]
+    until_middle = np.concatenate([np.zeros((1, 2)), np.cumsum(between, axis=0)])
+    return until_middle - velocity_rad_s * (middle_s - begin_s)[:, None]

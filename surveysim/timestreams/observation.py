@@ -12,7 +12,7 @@ from mapmaker.geometry import north_angle, plane_directions
 from mapmaker.kernels.compiled import compile_s, compile_timer
 from mapmaker.lost_samples import fill_flagged
 from mapmaker.timestreams import FocalPlane, Timestreams, scan_bounds
-from surveysim.atmosphere.layers import dominant_layer, wind_factor
+from surveysim.atmosphere.layers import dominant_layer, dominant_wind
 from surveysim.scene.scene import Scene, survey_hash
 from surveysim.telescope.pointing import Pointing
 from surveysim.timestreams.component import StreamComponent, present_components
@@ -206,12 +206,12 @@ def _timestreams(
     truth = {}
     if weather is not None:
         air = setup.scene.atmosphere
-        layer = dominant_layer(air)
+        seen = dominant_wind(air, weather)
         truth = {
             "b2_mk2": weather.b2,
-            "wind_speed_arcmin_s": np.degrees(weather.wind_speed_rad_s * wind_factor(air, layer)) * 60,
-            "wind_angle_deg": np.degrees(weather.wind_angle_rad + layer.wind_turn_rad),
-            "layer_height_m": layer.height_m,
+            "wind_speed_arcmin_s": np.degrees(seen.wind_speed_rad_s) * 60,
+            "wind_angle_deg": np.degrees(seen.wind_angle_rad),
+            "layer_height_m": dominant_layer(air).height_m,
         }
     if setup.air.water is not None:
         truth["pwv_mm"] = weather.pwv_mm

@@ -20,13 +20,13 @@ from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.noise_and_sky import Excess, Photon
 from surveysim.scene.scene import Scene
 from surveysim.telescope.beams import Beams, beams_of
-from surveysim.telescope.directions import FieldCentre, Site
+from surveysim.telescope.directions import FieldCentre, Site, hour_angle_dec
 from surveysim.telescope.focal_plane import Camera
-from surveysim.telescope.horizon_frame import HorizonFrame
+from surveysim.telescope.horizon_frame import HorizonFrame, Horizons
 from surveysim.telescope.lattice_noise import LatticeFactor, LatticePixels, WaferPixels
 from surveysim.telescope.noise_levels import WhiteByDetector, WhiteLevels, white_by_detector
 from surveysim.telescope.pixel_coherence import DensePixels, PixelCoherence
-from surveysim.telescope.pointing import Pointing, Schedule, observation_pointing, schedule, survey_angles
+from surveysim.telescope.pointing import Pointing, Schedule, near_angles, observation_pointing, schedule, survey_angles
 from surveysim.telescope.scan_pattern import ScanPattern
 from surveysim.telescope.scans import ScanPath, Scans, duration_s, mid_times, samples_per_scan
 from surveysim.timestreams.scan_blocks import Block
@@ -237,6 +237,11 @@ def observing_site(scene: Scene) -> Site:
     return Site(scene.schedule.latitude_rad, scene.schedule.longitude_rad, scene.schedule.height_m)
 
 
+def survey_horizons(scene: Scene, times: Schedule | None) -> Horizons | None:
+    """Horizons of all observations; None at fixed pointing."""
+    return None if times is None else Horizons(field_centre(scene), observing_site(scene), times.start_mjd)
+
+
 def observing_schedule(scene: Scene, scans: Scans) -> Schedule | None:
     """Starts of the observations; None at a fixed elevation.
 
@@ -245,6 +250,8 @@ def observing_schedule(scene: Scene, scans: Scans) -> Schedule | None:
     plan = scene.schedule
     if plan is None:
         return None
+    if scans.starts_mjd is not None:
+        return _given_schedule(scene, scans.starts_mjd[: scene.observations], mid_times(scans))
     try:
         return schedule(
             field_centre(scene),
@@ -258,6 +265,20 @@ def observing_schedule(scene: Scene, scans: Scans) -> Schedule | None:
         )
     except OutOfRangeError as error:
         raise SceneError(f"schedule: {error}") from None
+
+
+def _given_schedule(scene: Scene, start_mjd: np.ndarray, mid_time_s: np.ndarray) -> Schedule:
+    """Schedule of starts that the scan pattern sets; raises SceneError for a field too low."""
+    site = observing_site(scene)
+    given = Schedule(start_mjd, *hour_angle_dec(field_centre(scene), site, start_mjd))
+    lowest = near_angles(site, given, mid_time_s)[0].min(axis=1)
+    wrong = np.flatnonzero(lowest < scene.schedule.min_elevation_rad)
+    if len(wrong):
+        raise SceneError(
+            f"scan.file: found the field at {np.degrees(lowest[wrong[0]]):.1f} deg elevation in observation {wrong[0]};"
+            f" schedule.min_elevation, {np.degrees(scene.schedule.min_elevation_rad):g} deg, or more is expected"
+        )
+    return given
 
 
 def drawn_offsets(observing: ObservingSetup, observation: int) -> tuple[np.ndarray, float]:
@@ -279,16 +300,20 @@ def horizon_frame(observing: ObservingSetup, observation: int) -> HorizonFrame |
     return HorizonFrame(field_centre(scene), observing_site(scene), float(observing.angles.start_mjd[observation]))
 
 
+def boresight_path(observing: ObservingSetup, observation: int) -> ScanPath:
+    """Compute the scan pattern of one observation, dithered."""
+    dither = drawn_offsets(observing, observation)[0] * observing.scans.dither_rad
+    return observing.pattern.path(observing.scans, observation, dither, horizon_frame(observing, observation))
+
+
 def observation_path(observing: ObservingSetup, observation: int) -> tuple[ScanPath, Pointing]:
     """Point one observation: the scan pattern, dithered, and the camera, turned."""
-    offsets, turn = drawn_offsets(observing, observation)
-    frame, angles = horizon_frame(observing, observation), observing.angles
-    path = observing.pattern.path(observing.scans, observation, offsets * observing.scans.dither_rad, frame)
+    path, angles = boresight_path(observing, observation), observing.angles
     pointing = observation_pointing(
         path,
-        frame,
+        horizon_frame(observing, observation),
         elevation_rad=angles.elevation_rad[observation],
         parallactic_rad=angles.parallactic_rad[observation],
-        camera_angle_rad=turn,
+        camera_angle_rad=drawn_offsets(observing, observation)[1],
     )
     return path, pointing

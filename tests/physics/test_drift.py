@@ -80,7 +80,7 @@ def test_weather_does_not_depend_on_the_length_of_the_survey(tmp_path):
 
 
 def test_water_has_the_quantiles_of_its_month_and_hour():
-    from surveysim.atmosphere.dated_weather import drifting_weather
+    from surveysim.atmosphere.dated_weather import dated_weather
     from surveysim.atmosphere.water import pwv_quantile
     from surveysim.atmosphere.weather import site_water
     from surveysim.scene.atmosphere import Atmosphere
@@ -91,7 +91,7 @@ def test_water_has_the_quantiles_of_its_month_and_hour():
     air = Atmosphere.model_validate(keys | {"pwv_by_month": [f"[{n / 4}, {n / 2}] mm" for n in range(1, 13)]})
     water = site_water(air, shipped_place("alma"), top_hat(150e9, 0.2))
     when = (Season(2, 3), Season(7, 3), Season(2, 4))
-    dated = drifting_weather(1, (60000.0, 60150.0, 60365.0), 3600.0, when)
+    dated = dated_weather(1, (60000.0, 60150.0, 60365.0), correlation_s=3600.0, seasons=when)
     for number, season in enumerate(when):
         found = survey_weather(air, water, 1, number, dated=dated)
         assert found.pwv_mm == pwv_quantile(air, dated.scores[number, 2], season)

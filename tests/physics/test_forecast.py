@@ -208,10 +208,13 @@ def test_frames_of_observations_are_those_of_the_scans(scene_of):
         layer = np.array([sky_vector(angle, *weather.wind_rad_s) for angle in pointing.scan_parallactic_rad]) @ [1, 1j]
         relative = pointing.velocity_rad_s @ [1, 1j] - layer
         along = pointing.velocity_rad_s[:2] @ [1, 1j] / setup.observing.scans.speed_rad_s
-        np.testing.assert_allclose(levels.motion[number], relative[:2] / along, rtol=1e-9)
+        np.testing.assert_allclose(levels.motion[number, 0], relative[:2] / along, rtol=1e-9)
         offsets = np.stack(sky_offsets(setup.camera.focal_plane, pointing.scan_array_angle_rad[:1]), axis=-1) @ [1, 1j]
         place = projected_array(
-            setup.camera.focal_plane, levels.angle[number], responsivity=setup.camera.responsivity, algorithm="none"
+            setup.camera.focal_plane,
+            levels.angle[number, 0, 0],
+            responsivity=setup.camera.responsivity,
+            algorithm="none",
         ).place
         np.testing.assert_allclose(place, offsets[0] / along[0], atol=1e-12)
 

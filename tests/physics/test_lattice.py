@@ -7,7 +7,7 @@ import pytest
 
 from mapmaker.stream_psd import hann_psd
 from mapmaker.timestreams import FocalPlane
-from surveysim.forecasting import observing_conditions as conditions
+from surveysim.forecasting import coverage
 from surveysim.forecasting.forecast import forecast
 from surveysim.forecasting.mode_response import matrix_power, projected_array, stream_power
 from surveysim.forecasting.noise_model import survey_models
@@ -172,10 +172,10 @@ def test_powers_of_a_forecast_are_those_of_the_matrix(algorithm):
 def test_coverage_of_many_samples_is_that_of_some_of_them(path, monkeypatch):
     """One of four samples in time, counted four times: within the chance of where they fall."""
     ready = prepare(load_scene(path, {"scan.sample_rate": "40 Hz", "map.pixel": "60 arcsec", "score.ell_max": 10000}))
-    whole = conditions.mean_hits(ready, ready.analysis.pipelines[0])
+    whole = coverage.mean_hits(ready, ready.analysis.pipelines[0])
     samples = ready.camera.n_det * ready.observing.scans.n_scans * 240
-    monkeypatch.setattr(conditions, "_MOST_HIT_SAMPLES", samples / 4)
-    some = conditions.mean_hits(ready, ready.analysis.pipelines[0])
+    monkeypatch.setattr(coverage, "_MOST_HIT_SAMPLES", samples / 4)
+    some = coverage.mean_hits(ready, ready.analysis.pipelines[0])
     assert some.sum() == pytest.approx(whole.sum(), rel=0.02) and (some % 1 == 0).all()
     covered = whole > 20
     assert covered.sum() > 20

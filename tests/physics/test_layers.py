@@ -64,7 +64,7 @@ def streams(setup, observation=0, *, weather=WEATHER, block=None):
 def detector_offsets(setup):
     """Offsets (n_det, 2) of the detectors from the boresight."""
     _, pointing = observation_path(setup.observing, 0)
-    return np.stack(sky_offsets(setup.camera.focal_plane, pointing.array_angle_rad), axis=-1)[0]
+    return np.stack(sky_offsets(setup.camera.focal_plane, pointing.scan_array_angle_rad), axis=-1)[0]
 
 
 # ---------------------------------------------------------------- several layers

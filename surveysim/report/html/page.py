@@ -17,7 +17,7 @@ REPORT = "report.html"
 LONGEST_REASON = 150
 FIRST = (0, 5)  # first version with the present keys of summary.json
 # Keys that identify the kind of results.
-KINDS = {"points", "scores", "accuracy", "bands", "budget", "optimum", "compared"}
+KINDS = {"points", "scores", "accuracy", "bands", "budget", "optimum", "compared", "explained"}
 EXPECTED = (
     "the directory of a run, a sweep, 'surveysim budget', 'optimise', 'compare', 'accuracy' or 'paper' is expected"
 )
@@ -81,6 +81,10 @@ def _page_of(directory: Path) -> Page:
         from surveysim.report.html.compare import comparison_page
 
         return comparison_page(directory, summary)
+    if "explained" in summary:
+        from surveysim.report.html.explanation import explanation_page
+
+        return explanation_page(directory, summary)
     if "points" in summary:
         from surveysim.report.html.sweep import sweep_page
 

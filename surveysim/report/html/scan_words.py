@@ -17,8 +17,28 @@ def scan_words(scan: Values) -> str:
 def _raster(scan: Values) -> str:
     return (
         f"{plural(scan['scans'], 'scan')} of {short(scan['duration_s'])} s at {_arcmin(scan['speed_rad_s'])}/s,"
-        f" turnarounds of {short(scan['turnaround_s'])} s. Scans are {_arcmin(scan['step_rad'])} apart."
+        f" turnarounds of {short(scan['turnaround_s'])} s{_flagged(scan)}. Scans are {_arcmin(scan['step_rad'])} apart."
     )
+
+
+def _azimuth(scan: Values) -> str:
+    where = {"sky": "on the sky", "azimuth": "in azimuth"}[scan["angles"]]
+    return (
+        f"{plural(scan['scans'], 'sweep')} in azimuth of {_degrees(scan['throw_rad'])} at"
+        f" {_degrees(scan['speed_rad_s'])}/s {where}, {_turnarounds(scan)}{_flagged(scan)}. The elevation is"
+        " that of the field's centre at the middle of the observation."
+    )
+
+
+def _turnarounds(scan: Values) -> str:
+    if scan["given_turnaround_s"] is not None:
+        return f"turnarounds of {short(scan['given_turnaround_s'])} s"
+    jerk = f" and {_degrees(scan['jerk_rad_s3'])}/s3" if scan["jerk_rad_s3"] else ""
+    return f"turnarounds of up to {_degrees(scan['acceleration_rad_s2'])}/s2{jerk}"
+
+
+def _flagged(scan: Values) -> str:
+    return ", simulated and flagged" if scan.get("turnarounds") == "flagged" else ""
 
 
 def _daisy(scan: Values) -> str:
@@ -63,6 +83,7 @@ def _arcmin(angle: float) -> str:
 
 _WORDS: dict[str, Callable[[Values], str]] = {
     "raster": _raster,
+    "azimuth": _azimuth,
     "daisy": _daisy,
     "lissajous": _lissajous,
     "pong": _pong,

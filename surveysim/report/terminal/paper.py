@@ -1,13 +1,16 @@
 """Tables of the paper on the terminal."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 from rich.text import Text
 
+from surveysim.report.explanation import difference_table, overview_table, second_layer_table
 from surveysim.report.terminal.layout import Terminal
 from surveysim.report.terminal.survey import where_line
+from surveysim.report.terminal.tables import show_table
 
 if TYPE_CHECKING:
     from astropy.table import Table as AstropyTable
@@ -38,3 +41,11 @@ def _plain_table(made: "AstropyTable") -> Table:
         cells = ("" if value != value else value for value in row)
         table.add_row(*(f"{value:.3g}" if isinstance(value, float) else str(value) for value in cells))
     return table
+
+
+def print_explanation(content: Mapping[str, Any], directory: Path) -> None:
+    """Print the overview of an explanation, its differences, the winds with a second layer, and where the files are."""
+    console = Terminal(200)
+    for table in (overview_table(content), difference_table(content), second_layer_table(content)):
+        show_table(console, table)
+    console.say(f"\n{where_line(directory)}")

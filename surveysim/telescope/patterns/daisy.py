@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surveysim.scene.scan_figures import DaisyScan
+from surveysim.telescope.directions import FieldCentre, Site
 from surveysim.telescope.patterns.figures import Figure, figure_keys
 
 
@@ -36,7 +37,7 @@ class Daisy(Figure):
         return self.radius_rad
 
 
-def scene_daisy(section: DaisyScan) -> Daisy:
+def scene_daisy(section: DaisyScan, centre: FieldCentre, site: Site | None) -> Daisy:
     """Make the daisy of a section [scan]."""
     return Daisy(
         **figure_keys(section),

@@ -13,7 +13,7 @@ import numpy as np
 
 from surveysim.scene.scan_figures import FigureScan
 from surveysim.telescope.horizon_frame import HorizonFrame, to_horizon
-from surveysim.telescope.scans import ScanPath, Scans, mid_times, samples_per_scan, timing
+from surveysim.telescope.scans import ScanPath, Scans, sample_times, timing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,29 +58,24 @@ def figure_keys(section: FigureScan) -> dict[str, Any]:
     }
 
 
-def figure_extent(figure: Figure) -> float:
-    """Compute the largest offset from the centre along either axis of the sky, in any observation [rad]."""
+def figure_extent(figure: Figure, lowest_rad: float) -> float:
+    """Compute the largest offset from the centre along either axis of the sky, at any elevation [rad]."""
     return figure.extent_rad()
 
 
 def figure_path(figure: Figure, observation: int, dither: np.ndarray, frame: HorizonFrame | None) -> ScanPath:
-    """Compute the boresight path of the observation with a number.
-
-    Samples are at the middle of sampling intervals, symmetric about the middle of a chunk, as those of scans.
-    """
-    n, mid_s = samples_per_scan(figure), mid_times(figure)
-    from_mid_s = (np.arange(n) + 0.5 - n / 2) / figure.sample_rate_hz
-    half_s = figure.scan_s / 2
-    time_s = np.concatenate([(mid_s[:, None] + from_mid_s).ravel(), mid_s - half_s, mid_s + half_s])
-    offsets = _on_sky(figure, observation, time_s, frame)
-    n_samp, n_scan = n * figure.n_scans, figure.n_scans
+    """Compute the boresight path of the observation with a number."""
+    time_s, scan, mid_s = sample_times(figure)
+    half_s, n_samp, n_scan = figure.scan_s / 2, len(time_s), figure.n_scans
+    ends_s = np.concatenate([mid_s - half_s, mid_s + half_s])
+    offsets = _on_sky(figure, observation, np.append(time_s, ends_s), frame)
     travel = offsets[:, n_samp + n_scan :] - offsets[:, n_samp : n_samp + n_scan]
     xi, eta = offsets[:, :n_samp] + np.asarray(dither)[:, None]
     return ScanPath(
-        time_s=time_s[:n_samp],
+        time_s=time_s,
         xi_rad=xi,
         eta_rad=eta,
-        scan=np.repeat(np.arange(n_scan), n),
+        scan=scan,
         velocity_rad_s=travel.T / figure.scan_s,
         mid_time_s=mid_s,
         straight=False,

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surveysim.scene.scan_figures import LissajousScan
+from surveysim.telescope.directions import FieldCentre, Site
 from surveysim.telescope.patterns.figures import Figure, figure_keys
 
 
@@ -34,7 +35,7 @@ class Lissajous(Figure):
         return self.box_extent_rad(*self.amplitudes_rad)
 
 
-def scene_lissajous(section: LissajousScan) -> Lissajous:
+def scene_lissajous(section: LissajousScan, centre: FieldCentre, site: Site | None) -> Lissajous:
     """Make the Lissajous figure of a section [scan]."""
     return Lissajous(
         **figure_keys(section),

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surveysim.scene.scan_figures import PongScan
+from surveysim.telescope.directions import FieldCentre, Site
 from surveysim.telescope.patterns.figures import Figure, figure_keys
 
 
@@ -37,7 +38,7 @@ class Pong(Figure):
         return self.box_extent_rad(*self.amplitudes_rad)
 
 
-def scene_pong(section: PongScan) -> Pong:
+def scene_pong(section: PongScan, centre: FieldCentre, site: Site | None) -> Pong:
     """Make the pong of a section [scan]."""
     return Pong(
         **figure_keys(section),

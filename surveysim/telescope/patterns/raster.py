@@ -11,25 +11,49 @@ from dataclasses import dataclass
 import numpy as np
 
 from surveysim.scene.scan_patterns import RasterScan
+from surveysim.telescope.directions import FieldCentre, Site
 from surveysim.telescope.horizon_frame import HorizonFrame
 from surveysim.telescope.scans import ScanPath, Scans, mid_times, samples_per_scan, timing
+from surveysim.telescope.turnarounds import (
+    Turnaround,
+    in_turnaround,
+    mean_speed,
+    simulated_turnaround,
+    step_shares,
+    sweep_offsets,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Raster(Scans):
-    """Raster of one observation (paper, "Instrument Description"), with the distance of neighbouring scans."""
+    """Raster of one observation (paper, "Instrument Description"), with the distance of neighbouring scans.
+
+    Attributes
+    ----------
+    step_rad
+    turning
+        Turnaround that is simulated; None where they are left out.
+    """
 
     step_rad: float
+    turning: Turnaround | None = None
+
+    @property
+    def straight(self) -> bool:
+        """Whether no turnaround is simulated."""
+        return self.turning is None
 
 
-def scene_raster(section: RasterScan) -> Raster:
+def scene_raster(section: RasterScan, centre: FieldCentre, site: Site | None) -> Raster:
     """Make the raster of a section [scan]."""
-    return Raster(**timing(section), step_rad=section.step_rad)
+    return Raster(**timing(section), step_rad=section.step_rad, turning=simulated_turnaround(section))
 
 
-def raster_extent(raster: Raster) -> float:
+def raster_extent(raster: Raster, lowest_rad: float) -> float:
     """Compute the largest offset from the centre of the pattern, along either axis [rad]."""
-    return max(raster.speed_rad_s * raster.scan_s / 2, raster.step_rad * (raster.n_scans - 1) / 2)
+    half_s = mean_speed(raster.scan_s, raster.turning) * raster.scan_s / 2
+    steps = raster.n_scans - (1 if raster.turning is None else 0)
+    return max(raster.speed_rad_s * half_s, raster.step_rad * steps / 2)
 
 
 def observation_raster(raster: Raster, observation: int, dither: np.ndarray, frame: HorizonFrame | None) -> ScanPath:
@@ -42,7 +66,8 @@ def raster_path(raster: Raster, along: str, dither: np.ndarray) -> ScanPath:
 
     The first scan goes east (or north), the next one back, each `step_rad` further north (or east). The pattern is
     centred on the field plus the dither. Sample i of a scan is (i + 1/2) / rate after its start, so a scan is symmetric
-    about its middle; a remainder of its duration is split between both ends.
+    about its middle; a remainder of its duration is split between both ends. With simulated turnarounds, a scan has
+    half of one at both ends.
 
     Parameters
     ----------
@@ -63,14 +88,17 @@ def raster_path(raster: Raster, along: str, dither: np.ndarray) -> ScanPath:
     mid_s = mid_times(raster)
     from_mid_s = (np.arange(n) + 0.5 - n / 2) / raster.sample_rate_hz
     speed = raster.speed_rad_s * (1.0 - 2.0 * (k % 2))
-    along_rad = np.outer(speed, from_mid_s)
-    across_rad = np.repeat((k - (raster.n_scans - 1) / 2) * raster.step_rad, n)
+    scan_s, turning = raster.scan_s, raster.turning
+    along_rad = np.outer(speed, sweep_offsets(from_mid_s, scan_s, turning))
+    across_rad = ((k - (raster.n_scans - 1) / 2)[:, None] + step_shares(from_mid_s, scan_s, turning)) * raster.step_rad
     axis = ("ra", "dec").index(along)
     offset = np.empty((2, raster.n_scans * n))
     offset[axis] = along_rad.ravel() + dither[axis]
-    offset[1 - axis] = across_rad + dither[1 - axis]
+    offset[1 - axis] = across_rad.ravel() + dither[1 - axis]
     velocity = np.zeros((raster.n_scans, 2))
-    velocity[:, axis] = speed
+    velocity[:, axis] = speed * mean_speed(scan_s, turning)
+    velocity[:, 1 - axis] = 0.0 if turning is None else raster.step_rad / scan_s
+    turned = in_turnaround(from_mid_s, scan_s, turning)
     return ScanPath(
         time_s=(mid_s[:, None] + from_mid_s).ravel(),
         xi_rad=offset[0],
@@ -78,5 +106,6 @@ def raster_path(raster: Raster, along: str, dither: np.ndarray) -> ScanPath:
         scan=np.repeat(k.astype(np.int64), n),
         velocity_rad_s=velocity,
         mid_time_s=mid_s,
-        straight=True,
+        straight=raster.straight,
+        flagged=None if turned is None else np.tile(turned, raster.n_scans),
     )

@@ -13,14 +13,13 @@ def test_interpolation_is_linear_in_logarithms_and_angles():
     rng = np.random.default_rng(5)
     for sine in (rng.uniform(0.4, 0.9, 12), np.full(12, 0.7)):
         motion = rng.normal(size=(12, 6)) + 1j * rng.normal(size=(12, 6))
-        conditions = SimpleNamespace(motion=motion, sine=sine)
-        asked, of_table = [], sine_nodes(conditions)
+        asked, of_table = [], sine_nodes(SimpleNamespace(sine=sine))
 
         def noise(one, asked=asked, heights=of_table):
             asked.append(one)
             return [np.array([abs(one) ** -2 * (2 + np.angle(one)), abs(one)]) / height for height in heights]
 
-        found = interpolate_motions(conditions, 0.1, noise)
+        found = interpolate_motions(motion, of_table, speed_rad_s=0.1, noise=noise)
         speeds = np.unique(np.round(np.log(np.abs(asked)), 12))
         turns = np.unique(np.round(np.abs(np.angle(asked)), 12))
         nodes = speeds, turns, np.log(of_table)

@@ -55,10 +55,10 @@ def test_apodized_sums_are_the_double_loop(rows):
     rng = np.random.default_rng(1)
     transfer = rng.standard_normal(9)
     frequency, at = rng.uniform(-4, 4, 30), rng.uniform(-3, 3, 5)  # up to 7, beyond the table's 4
-    strength, power, mean = rng.random((rows, 30)), rng.random((3, 30)), rng.random(30)
+    strength, power, (mean, loose) = rng.random((rows, 30)), rng.random((3, 30)), rng.random((2, 30))
     losses = rng.dirichlet(np.ones(4))[:3], rng.standard_normal((5, 3)), rng.standard_normal((3, 30))
-    found = apodized_sums(strength, power, frequency, at, transfer, 2.0, mean, *losses)
-    expected = naive.apodized_sums(strength, power, frequency, at, transfer, 2.0, mean, *losses)
+    found = apodized_sums(strength, power, frequency, at, transfer, 2.0, mean, loose, *losses)
+    expected = naive.apodized_sums(strength, power, frequency, at, transfer, 2.0, mean, loose, *losses)
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
@@ -122,6 +122,25 @@ def test_noise_of_a_mode_is_what_drawn_scans_leave(index):
         assert expected[0] < 0.35 * expected[-1]
 
 
+def test_tapers_anywhere_in_a_scan_leave_the_mean_of_all_places():
+    """Waves less their mean, seen through a taper of half the scan's length, at evenly spaced places of its middle."""
+    duration, places = SAMPLES / RATE, 400
+    step = duration / SAMPLES
+    apodization = scan_apodization(duration, speed_rad_s=2.0, size_rad=duration, taper_fraction=0.5, centred=False)
+    assert apodization.slack_s == pytest.approx(duration / 2)
+    time, at_hz = (np.arange(SAMPLES) - (SAMPLES - 1) / 2) * step, np.array([0.0, 0.05, 0.1, 0.3])
+    for f in (0.02, 0.05, 0.09, 0.2):
+        wave, found = np.exp(2j * np.pi * f * time), np.zeros(len(at_hz))
+        for middle in duration / 2 * ((np.arange(places) + 0.5) / places - 0.5):
+            fine = middle + (np.arange(SAMPLES) - (SAMPLES - 1) / 2) * step / 2
+            taper = tukey(SAMPLES, step, duration, 0.5)
+            left = (np.exp(2j * np.pi * f * fine) - wave.mean()) * taper
+            modes = np.abs(np.exp(-2j * np.pi * np.outer(at_hz, fine)) @ left) ** 2
+            found += modes * step / 2 / np.sum(taper**2) / places
+        expected = [apodization.sums(np.ones((1, 1)), np.array([f]), at_hz[[k]])[0] for k in range(len(at_hz))]
+        np.testing.assert_allclose(expected, found, rtol=0.02, atol=2e-3 * apodization.transfer[0] ** 2)
+
+
 def test_passed_is_what_the_mean_leaves_of_a_wave():
     """The share of its own mode that a wave keeps, by samples."""
     taper = tukey(SAMPLES, 1.0, SAMPLES, 0.5)
@@ -144,16 +163,6 @@ def test_ring_means_of_smooth_functions_are_exact():
     np.testing.assert_allclose(np.abs(modes.wave), np.broadcast_to(ell[:, None], angle.shape))
     for power, mean in ((2, 1 / 2), (4, 3 / 8), (6, 5 / 16)):
         np.testing.assert_allclose(modes.mean((np.cos(angle) ** power).ravel()), mean, rtol=1e-9)
-
-
-def test_turned_is_a_quarter_of_a_turn_before():
-    """Or its conjugate, in the half turn that is kept."""
-    modes = ring_modes(np.array([1000.0]))
-    before = modes.wave[:, modes.turned] * 1j
-    half = len(modes.share) // 2
-    np.testing.assert_allclose(before[:, half:], modes.wave[:, half:], atol=1e-9)
-    np.testing.assert_allclose(before[:, :half], -modes.wave[:, :half], atol=1e-9)
-    np.testing.assert_allclose(modes.share[modes.turned], modes.share)
 
 
 # ---------------------------------------------------------------- arrays

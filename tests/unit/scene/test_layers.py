@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from surveysim.atmosphere.layers import b2_factor, dominant_layer, layer_sections, wind_factor
+from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
 from tests.refusals import scene_refusal
@@ -57,13 +58,13 @@ def test_spectra_of_other_indices_agree_at_the_pivot(path):
 
 
 def test_exponential_profile(path):
-    """Moments of height with the weight h^(5/3) exp(-2 h / H) are those of the gamma distribution."""
+    """Shares over h^(5/3) are weights of a quadrature for exp(-2 h / H), whose moments are factorials."""
     atmosphere = air(path, profile="exponential", profile_layers=3, water_scale_height="2 km")
     layers = layer_sections(atmosphere)
     height, share = (np.array([getattr(layer, key) for layer in layers]) for key in ("height_m", "share"))
-    shape, scale = 8 / 3, 1000
-    assert share.sum() == pytest.approx(1) and share @ height == pytest.approx(shape * scale)
-    assert share @ height**2 == pytest.approx(shape * (shape + 1) * scale**2)
+    weight = share / height ** (5 / 3)
+    moments = [weight @ (height / 1000) ** power / weight.sum() for power in range(6)]
+    assert moments == pytest.approx([1, 1, 2, 6, 24, 120]) and share.sum() == pytest.approx(1)
     assert len({layer.name for layer in layers}) == 3
 
 
@@ -100,6 +101,24 @@ def test_a_site_has_a_scale_height(path):
 def test_refusals(path, keys, words):
     text = scene_refusal(path, {f"atmosphere.{key}": value for key, value in keys.items()})
     assert all(word in text for word in words), text
+
+
+@pytest.mark.parametrize(
+    "keys, words",
+    [
+        ({"decorrelation_time": "0.5 s"}, ("atmosphere.decorrelation_time: found 0.5 s; 0.6 s or more",)),
+        ({"layers": [LOW, HIGH | {"decorrelation_time": "0.5 s"}]}, ("atmosphere.layers[1].decorrelation_time",)),
+        (
+            {"wind_drift": {"speed_rms": 0.1, "time_scale": "5 s"}},
+            ("atmosphere.wind_drift.time_scale: found 5 s",),
+        ),
+        ({"layers": [LOW, HIGH | {"height": "10 m", "wind_factor": 100}]}, ("tracks through the layer",)),
+    ],
+)
+def test_scans_refuse_fast_changes_and_long_tracks(path, keys, words):
+    with pytest.raises(SceneError) as error:
+        prepare(load_scene(path, {f"atmosphere.{key}": value for key, value in keys.items()}))
+    assert all(word in str(error.value) for word in words), error.value
 
 
 def test_a_profile_whose_lowest_layer_is_in_the_aperture_is_refused(path):

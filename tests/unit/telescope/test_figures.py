@@ -69,7 +69,7 @@ COMMON = {"duration": "2 hour", "chunk": "2 hour", "dither": "0 deg", "sample_ra
 
 
 def figure(section):
-    return scan_pattern(section).scans(section)
+    return scan_pattern(section).scans(section, FieldCentre(0.0, 0.0), None)
 
 
 def daisy(**keys):
@@ -146,10 +146,10 @@ def test_pattern_turns_from_x_to_y_and_further_in_each_observation():
     cos, sin = np.cos(np.radians(35)), np.sin(np.radians(35))
     np.testing.assert_allclose(start[1].xi_rad, x * cos - y * sin, atol=1e-15)
     np.testing.assert_allclose(start[1].eta_rad, x * sin + y * cos, atol=1e-15)
-    np.testing.assert_allclose(figure_extent(turned), np.hypot(5, 3) * ARCMIN)
-    np.testing.assert_allclose(figure_extent(straight), 5 * ARCMIN)
-    np.testing.assert_allclose(figure_extent(figure(lissajous(angle="90 deg"))), 5 * ARCMIN)
-    np.testing.assert_allclose(figure_extent(figure(lissajous(angle="45 deg"))), 8 / np.sqrt(2) * ARCMIN)
+    np.testing.assert_allclose(figure_extent(turned, 0.5), np.hypot(5, 3) * ARCMIN)
+    np.testing.assert_allclose(figure_extent(straight, 0.5), 5 * ARCMIN)
+    np.testing.assert_allclose(figure_extent(figure(lissajous(angle="90 deg")), 0.5), 5 * ARCMIN)
+    np.testing.assert_allclose(figure_extent(figure(lissajous(angle="45 deg")), 0.5), 8 / np.sqrt(2) * ARCMIN)
 
 
 def test_pattern_of_the_horizon_keeps_its_axes_along_azimuth_and_elevation():

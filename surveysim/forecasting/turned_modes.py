@@ -1,0 +1,47 @@
+"""Amplitude of map modes as a mean over scans along many directions."""
+
+import numpy as np
+
+from surveysim.forecasting.mode_response import Modes
+
+
+def turned_power(modes: Modes, amplitude: np.ndarray, directions: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Power of map modes whose amplitude is a mean over the scans of a place, averaged over places.
+
+    The azimuths of `modes` are densest along and across a scan. The mean over azimuth takes those about each direction
+    in turn, by its weight, so narrow features count as much as they are resolved.
+
+    Parameters
+    ----------
+    modes
+    amplitude : (n_speed, n_bin, n_angle)
+        Amplitude of `modes` in scans along the x axis; that of the opposite mode is its conjugate.
+    directions : (n_place, n_speed, n_direction)
+        Weight of the scans of a place; their directions divide half a turn evenly. It sums to 1.
+    share : (n_place,)
+        Weight of each place; they sum to 1.
+
+    Returns
+    -------
+    (n_bin,) array
+    """
+    n_place, _, n = directions.shape
+    along, power = np.einsum("psd,p->pd", directions, share), np.zeros(amplitude.shape[1:])
+    used = np.flatnonzero(along.any(axis=0))
+    steps = (used[:, None] - used) % n  # to each direction, from beyond the first one where it is before
+    turned = dict(zip(found := np.unique(steps), _turned(modes, amplitude, np.pi / n * found), strict=True))
+    for number, row in zip(used, steps, strict=True):
+        seen = [turned[step].conj() if other > number else turned[step] for other, step in zip(used, row, strict=True)]
+        mean = np.tensordot(directions[:, :, used].transpose(0, 2, 1), np.array(seen), 2)
+        power += np.tensordot(along[:, number], mean.real**2 + mean.imag**2, 1)
+    return modes.mean(power.ravel())
+
+
+def _turned(modes: Modes, amplitude: np.ndarray, turn_rad: np.ndarray) -> np.ndarray:
+    """Interpolate the amplitude of modes that are turned further in azimuth by less than half a turn, (n_turn, ...)."""
+    from scipy.interpolate import CubicSpline
+
+    angle = np.angle(modes.wave[-1])
+    grid = np.concatenate([angle - np.pi, angle, angle + np.pi])
+    values = np.concatenate([amplitude.conj(), amplitude, amplitude.conj()], axis=-1)
+    return np.moveaxis(CubicSpline(grid, values, axis=-1)(angle + turn_rad[:, None]), -2, 0)
