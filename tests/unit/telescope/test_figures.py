@@ -101,7 +101,7 @@ def pong(**keys):
 )
 def test_mean_and_largest_speed(section, mean, most):
     """Of slopes on a fine grid; figures whose phases fill all pairs only in the long run are less close."""
-    step_s = 0.002
+    step_s = 0.01
     x, y = figure(section).curve(np.arange(0, 4200, step_s))
     speed = np.hypot(np.diff(x), np.diff(y)) / step_s
     assert section.speed_rad_s == pytest.approx(speed.mean(), rel=mean)
