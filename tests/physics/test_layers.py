@@ -85,7 +85,7 @@ def test_one_listed_layer_is_the_layer(air):
 def test_cross_spectra_of_two_layers(air):
     """Layers 120 degrees apart, at two heights: the sum of the cross-spectra of each in its own wind."""
     setup = air({"layers": [LOW, HIGH]}, AT_REST | {"scan.duration": "32 s", "scan.sample_rate": "8 Hz"})
-    n_obs, rate = 300, 8.0
+    n_obs, rate = 200, 8.0
     offsets, pairs = detector_offsets(setup), ((0, 3), (1, 4), (0, 6))
     window = np.hanning(256 + 1)[:-1]
     found = np.zeros((len(pairs) + 1, 129), complex)
@@ -240,7 +240,7 @@ def test_wind_drifts(air):
     setup = air({"wind_drift": drift}, {"scan.scans": 16})
     _, pointing = observation_path(setup.observing, 0)
     (layer,) = setup.air.layers
-    n = 4000
+    n = 1500
     wind = np.array([layer_wind(layer, WEATHER, pointing, LayerNumbers(1, number, 0, "")) for number in range(n)])
     change = np.log((wind[:, 0] + 1j * wind[:, 1]) / complex(*WEATHER.wind_rad_s))
     for part, rms in ((change.real, 0.2), (change.imag, math.radians(15))):
