@@ -225,15 +225,15 @@ def test_a_realization_with_a_weight_of_one_is_the_layer(air, tmp_path, pattern)
 
 @pytest.mark.parametrize("pattern", ["raster", "daisy"])
 def test_blocks_of_an_evolving_layer(air, tmp_path, pattern):
-    """The first block has the numbers of an observation of one block, whatever the realizations are."""
+    """The first block has the numbers of an observation of one block; later ones have its trends at least."""
     if pattern == "daisy":
         as_daisy(tmp_path / "scene.toml")
     drift = {"direction_rms": "10 deg", "time_scale": "1 min"}
     setup = air({"decorrelation_time": "7 s", "layers": [LOW, HIGH], "wind_drift": drift}, {})
     whole, first = streams(setup), streams(setup, block=Block(0, 0, 2))
     np.testing.assert_array_equal(whole[:, : first.shape[1]], first)
-    second = streams(setup, block=Block(1, 2, 4))
-    assert second.std() == pytest.approx(whole[:, first.shape[1] :].std(), rel=0.9)
+    second, same = streams(setup, block=Block(1, 2, 4)), whole[:, first.shape[1] :]
+    assert np.corrcoef(second.ravel(), same.ravel())[0, 1] > 0.7 and not np.allclose(second, same, atol=0.1)
 
 
 # ---------------------------------------------------------------- drifting wind
