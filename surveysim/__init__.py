@@ -21,6 +21,7 @@ _PUBLIC = {
     "budget": "surveysim.api",
     "load_problem": "surveysim.studies.optimise.problem",
     "optimise": "surveysim.api",
+    "track": "surveysim.api",
     "scene_names": "surveysim.scene.shipped",
     "Engine": "surveysim.runtime.engine",
     "InputError": "surveysim.runtime.errors",

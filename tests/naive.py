@@ -176,6 +176,13 @@ def add_screen(data, start, stop, strip, x0, y0, dx, amplitude):
             data[d, start + n] += amplitude * ((1 - t) * along_near + t * along_far)
 
 
+def add_weighted(data, start, values, weight):
+    """As `surveysim.atmosphere.screen_kernels.add_weighted`."""
+    for d in range(len(values)):
+        for n in range(len(weight)):
+            data[d, start + n] += weight[n] * values[d, n]
+
+
 def add_screen_nearest(data, start, stop, strip, x0, y0, dx, amplitude):
     """Look-up of the lattice point that is nearest along each axis, the higher one halfway."""
     for d in range(data.shape[0]):

@@ -11,6 +11,7 @@ from surveysim.api.comparisons import compare
 from surveysim.api.optimum import optimise
 from surveysim.api.surveys import PROCESSES, forecast_survey, plan_survey, run_survey, simulate_observation
 from surveysim.api.sweeps import forecast_single_sweep, plan_single_sweep, run_single_sweep
+from surveysim.api.tracks import track
 from surveysim.forecasting.forecast import Forecast
 from surveysim.results.bands import MultiBandForecast, MultiBandResult
 from surveysim.results.results import SurveyResult
@@ -50,6 +51,7 @@ __all__ = [
     "run_survey",
     "run_sweep",
     "simulate_observation",
+    "track",
 ]
 
 

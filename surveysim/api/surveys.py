@@ -53,7 +53,7 @@ def simulate_observation(scene: Scene | str | Path, observation: int) -> Timestr
     InputError
         The scene does not have this observation.
     """
-    scene = _scene(scene)
+    scene = scene_as_given(scene)
     if not 0 <= observation < scene.observations:
         raise InputError(f"observation: found {observation}; 0 to {scene.observations - 1} is expected")
     with threadpool_limits(1):  # the same bits as in a run
@@ -76,7 +76,7 @@ def run_survey(
 ) -> SurveyResult:
     """Simulate, clean, map and score a scene of one band; parameters and errors are those of `surveysim.run`."""
     start, limits = perf_counter(), StoppingCriteria(target_error, time_budget_s, target_metric)
-    setup = prepare(_scene(scene))
+    setup = prepare(scene_as_given(scene))
     check_limits(setup, limits)
     engine = engine.for_work(is_quick(setup, target_error))
     workers = engine.workers_for(setup.scene.observations)
@@ -119,7 +119,7 @@ def finished_survey(scene: Scene, out: Path) -> SurveyResult:
 
 def forecast_survey(scene: Scene | str | Path, out: str | Path | None = None, *, force: bool = False) -> Forecast:
     """Forecast the scores of a scene of one band; parameters and errors are those of `surveysim.forecast`."""
-    scene = _scene(scene)
+    scene = scene_as_given(scene)
     found = forecast_scene(prepare(scene))
     if out is not None:
         with claimed(Path(out), of_forecast(scene), force) as place, replacing(place) as new:
@@ -129,11 +129,11 @@ def forecast_survey(scene: Scene | str | Path, out: str | Path | None = None, *,
 
 def plan_survey(scene: Scene | str | Path, workers: int | None = None, *, start_s: float = 0.0) -> Plan:
     """Predict the cost of a run of one band; parameters and errors are those of `surveysim.plan`."""
-    return make_plan(prepare(_scene(scene)), workers or default_workers(), start_s)
+    return make_plan(prepare(scene_as_given(scene)), workers or default_workers(), start_s)
 
 
-def _scene(scene: Scene | str | Path) -> Scene:
-    """A scene as it is given; SceneError for a file with a table [sweep]."""
+def scene_as_given(scene: Scene | str | Path) -> Scene:
+    """Return a scene as it is given, or load it; raises SceneError for a file with a table [sweep]."""
     if isinstance(scene, Scene):
         return scene
     if is_sweep(scene):

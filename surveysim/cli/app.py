@@ -6,7 +6,7 @@ import typer
 from typer.core import TyperArgument, TyperCommand
 
 from surveysim import __version__
-from surveysim.cli import budgets, compare, optimise, runs, scenes, studies
+from surveysim.cli import budgets, compare, optimise, runs, scenes, studies, tracks
 from surveysim.runtime.printable import say
 
 app = typer.Typer(
@@ -27,6 +27,7 @@ COMMANDS = (
     scenes.report,
     scenes.check,
     scenes.optics,
+    tracks.track,
     scenes.keys,
     scenes.new,
     scenes.cameras,

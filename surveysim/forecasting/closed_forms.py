@@ -51,12 +51,17 @@ def low_frequency(of: NoiseBins) -> Noise:
     return lambda conditions: np.outer(conditions.excess * conditions.gain**2, bins)
 
 
-def layer(of: NoiseBins) -> Noise:
-    """Layer of the atmosphere."""
-    bins = of.layer()
-    return lambda conditions: (
-        (conditions.layer * conditions.gain**2)[:, None] * bins(conditions.motion[:, of.node], conditions.sine)
-    )
+def layers(of: NoiseBins) -> Noise:
+    """Layers of the atmosphere, whose noise is independent."""
+    parts = [of.layer(number) for number in range(len(of.layers))]
+
+    def noise(conditions: ObservingConditions) -> np.ndarray:
+        total = np.zeros((len(conditions.sine), len(of.frequencies.modes.wave)))
+        for bins, amplitude, motions in zip(parts, conditions.layers, conditions.motions, strict=True):
+            total += (amplitude * conditions.gain**2)[:, None] * bins(motions[:, of.node], conditions.sine)
+        return total
+
+    return noise
 
 
 def readout_noise(of: NoiseBins) -> Noise:
@@ -111,7 +116,7 @@ CLOSED_FORMS: dict[str, tuple[ClosedForm, ...]] = {
     "photon": (independent_white, shared_white),
     "detector": (independent_white,),
     "excess": (low_frequency,),
-    "atmosphere": (layer,),
+    "atmosphere": (layers,),
     "sky": (),
     "readout_noise": (readout_noise,),
     "lines": (microphonic_lines,),

@@ -43,6 +43,7 @@ PROJECTIONS = {
 
 _NODES = 10  # quadrature nodes in each eighth of a turn
 _RADII, _AZIMUTHS = 32, 16  # of the layer's wavevectors
+_SHIFT_EDGES = np.array([0, 0.25, 0.5, 1.25, 4.25, 16.25])  # between parts of the evolution's spectrum [cycles]
 
 
 @dataclass(frozen=True)
@@ -211,13 +212,19 @@ class LayerWaves:
         Complex wavevectors [cycles/rad].
     power : (n_sine, n_a)
         Variance of each at some elevations.
+    shift_hz, shift_share : (n_shift,)
+        Frequencies by which the evolution of the layer shifts parts of each wave in the streams.
     """
 
     alpha: np.ndarray
     power: np.ndarray
+    shift_hz: np.ndarray
+    shift_share: np.ndarray
 
 
-def layer_waves(screen: Screen, longest_rad: float, sines: Sequence[float] = (1.0,)) -> LayerWaves:
+def layer_waves(
+    screen: Screen, longest_rad: float, sines: Sequence[float] = (1.0,), decorrelation_time_s: float | None = None
+) -> LayerWaves:
     """Represent the layer by wavevectors, per unit amplitude.
 
     They range from well below one over the longest track to the cut-off by the beam. Still longer waves are slopes
@@ -232,12 +239,34 @@ def layer_waves(screen: Screen, longest_rad: float, sines: Sequence[float] = (1.
         Longest track.
     sines
         Sines of the elevations (n_sine,).
+    decorrelation_time_s
+        Time of the layer's evolution; None for a frozen layer.
     """
     edge = np.geomspace(0.02 / longest_rad, 12 / (screen.beam_rad * min(sines)), _RADII)
     # Every other radius starts between the azimuths of its neighbours.
     angle = 2 * np.pi / _AZIMUTHS * (np.arange(_AZIMUTHS) + 0.5 * (np.arange(_RADII) % 2)[:, None])
     power = np.array([_ring_power(at_elevation(screen, sine), edge) for sine in sines])
-    return LayerWaves((edge[:, None] * np.exp(1j * angle)).ravel(), np.repeat(power, _AZIMUTHS, axis=1))
+    alpha, shifts = (edge[:, None] * np.exp(1j * angle)).ravel(), evolution_shifts(decorrelation_time_s)
+    return LayerWaves(alpha, np.repeat(power, _AZIMUTHS, axis=1), *shifts)
+
+
+def evolution_shifts(time_s: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Represent the spectrum of a wave in a layer with a decorrelation time T by shifts [Hz] and their shares.
+
+    A realization counts by cos(pi t / 2 T) for |t| < T. The square of its transform is the spectrum,
+
+        S(f) = (16 T / pi^2) (cos(2 pi f T) / (1 - 16 f^2 T^2))^2,
+
+    which is integrated between `_SHIFT_EDGES` / T on both sides.
+    """
+    if time_s is None:
+        return np.zeros(1), np.ones(1)
+    cycles = np.linspace(0, _SHIFT_EDGES[-1], 8001)[1:] - _SHIFT_EDGES[-1] / 16_000
+    density = (np.cos(2 * np.pi * cycles) / (1 - 16 * cycles**2)) ** 2
+    part = np.digitize(cycles, _SHIFT_EDGES) - 1
+    share, moment = (np.bincount(part, weight) for weight in (density, density * cycles**2))
+    shift = np.sqrt(moment / share) / time_s
+    return np.concatenate([-shift, shift]), np.tile(share / share.sum() / 2, 2)
 
 
 def _ring_power(screen: Screen, edge: np.ndarray) -> np.ndarray:

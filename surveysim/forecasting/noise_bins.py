@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from surveysim.atmosphere.layers import Layer
 from surveysim.forecasting.fitted_modes import FittedModes
 from surveysim.forecasting.layer_table import LayerNoise, interpolate_motions, sine_nodes, stream_frequencies
 from surveysim.forecasting.mode_response import (
@@ -27,9 +28,10 @@ from surveysim.scene.analysis import Score
 from surveysim.scene.scene import Scene
 from surveysim.telescope.lattice_noise import GroupCorrelation, NoiseCorrelation
 from surveysim.telescope.scans import Scans, samples_per_scan
-from surveysim.timestreams.shared_parts import screen
 from surveysim.timestreams.sharing import common_streams
 from surveysim.timestreams.simulation import CameraSetup
+
+_FROZEN_SCANS = 10  # decorrelation time in scans above which a layer is taken as frozen
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,8 @@ class NoiseBins(ABC):
 
     Attributes
     ----------
+    layers
+        Layers of the atmosphere.
     conditions
         Observing conditions that bracket all others.
     node
@@ -97,6 +101,7 @@ class NoiseBins(ABC):
     """
 
     scene: Scene
+    layers: tuple[Layer, ...]
     conditions: ObservingConditions
     node: int
     frequencies: ScanFrequencies
@@ -117,11 +122,13 @@ class NoiseBins(ABC):
         """Scans of an observation."""
         return self.frequencies.scans
 
-    @property
-    def layer_waves(self) -> LayerWaves:
-        """Wavevectors of the layer."""
-        longest = np.abs(self.conditions.motion).max() * self.frequencies.apodization.duration_s
-        return layer_waves(screen(self.scene), longest, sine_nodes(self.conditions).tolist())
+    def layer_waves(self, number: int) -> LayerWaves:
+        """Wavevectors of the layer with a number."""
+        layer, seconds = self.layers[number], self.frequencies.apodization.duration_s
+        longest = np.abs(self.conditions.motions[number]).max() * seconds
+        time_s = layer.section.decorrelation_time_s
+        evolution = time_s if time_s is not None and time_s < _FROZEN_SCANS * seconds else None
+        return layer_waves(layer.strips.screen, longest, sine_nodes(self.conditions).tolist(), evolution)
 
     @abstractmethod
     def white(self, correlation: Correlation, origin: Origin = "light") -> np.ndarray:
@@ -142,14 +149,25 @@ class NoiseBins(ABC):
         streams = common_streams(self.camera, shared, group_size)[self.rows]
         return NoiseCorrelation(GroupCorrelation(streams), np.ones(len(streams)))
 
-    def layer_table(self, noise: Callable[[complex], list[np.ndarray]]) -> LayerNoise:
-        """Interpolate `noise` of a motion (`interpolate_motions`) over the motions at this speed of the track."""
-        motion, speed = self.conditions.motion[:, self.node], self.frequencies.speed_rad_s
-        return interpolate_motions(motion, sine_nodes(self.conditions), speed_rad_s=speed, noise=noise)
+    def layer_table(self, number: int, waves: LayerWaves, in_bins: Callable[..., list[np.ndarray]]) -> LayerNoise:
+        """Interpolate noise over the motions against a layer at this speed of the track (`interpolate_motions`).
+
+        `in_bins` are bins (n_bin,) at each elevation of waves of some power (n_sine, n_a) at frequencies (n_a,) [Hz].
+        """
+
+        def noise(motion: complex) -> list[np.ndarray]:
+            total = np.zeros(())
+            for shift, share in zip(waves.shift_hz, waves.shift_share, strict=True):
+                along = stream_frequencies(waves, motion) + shift
+                total = total + share * np.array(in_bins(waves.power * self.passed(along, "light"), along))
+            return list(total)
+
+        motions, speed = self.conditions.motions[number][:, self.node], self.frequencies.speed_rad_s
+        return interpolate_motions(motions, sine_nodes(self.conditions), speed_rad_s=speed, noise=noise)
 
     @abstractmethod
-    def layer(self) -> LayerNoise:
-        """Bins of a layer of unit amplitude, as a function of its motion."""
+    def layer(self, number: int) -> LayerNoise:
+        """Bins of the layer with a number, of unit amplitude, as a function of its motion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,20 +240,17 @@ class MapBins(NoiseBins):
         shared = self._mean([matrix_power(response, correlation) for response in self.responses], leakage)
         return own + (shared - own) * self.pixel
 
-    def layer(self) -> LayerNoise:
-        """Bins of a layer of unit amplitude, as a function of its motion."""
-        waves, spectrum = self.layer_waves, self.frequencies
+    def layer(self, number: int) -> LayerNoise:
+        """Bins of the layer with a number, of unit amplitude, as a function of its motion."""
+        waves, spectrum = self.layer_waves(number), self.frequencies
         pairs = list(zip(self.arrays, self.responses, strict=True))
-        gains = [layer_gain(*pair, waves, self.gain_variance) for pair in pairs]
-        gain = np.mean(gains, axis=0)
+        gain = np.mean([layer_gain(*pair, waves, self.gain_variance) for pair in pairs], axis=0)
 
-        def noise(motion: complex) -> list[np.ndarray]:
-            along = stream_frequencies(waves, motion)
-            power = waves.power * self.passed(along, "light")
+        def in_bins(power: np.ndarray, along: np.ndarray) -> list[np.ndarray]:
             sums = spectrum.apodization.power_sums(gain, power, along, spectrum.at_hz)
             return [spectrum.modes.mean(item) * self.scans.sample_rate_hz for item in sums]
 
-        table = self.layer_table(noise)
+        table = self.layer_table(number, waves, in_bins)
         return lambda motion, sine: table(motion, sine) * self.pixel
 
 
@@ -275,17 +290,15 @@ class NoiseOnlyBins(NoiseBins):
         psd = self.hann.sums(variance[None] / 2, at_hz, self.lines_hz)
         return stream_power(self.arrays[0], correlation) * self.in_bins(psd)
 
-    def layer(self) -> LayerNoise:
-        """Bins of a layer of unit amplitude, as a function of its motion."""
-        waves = self.layer_waves
+    def layer(self, number: int) -> LayerNoise:
+        """Bins of the layer with a number, of unit amplitude, as a function of its motion."""
+        waves = self.layer_waves(number)
         gain = np.mean([layer_stream_gain(array, waves, self.gain_variance) for array in self.arrays], axis=0)
 
-        def noise(motion: complex) -> list[np.ndarray]:
-            along = stream_frequencies(waves, motion)
-            power = waves.power * self.passed(along, "light")
+        def in_bins(power: np.ndarray, along: np.ndarray) -> list[np.ndarray]:
             return [self.in_bins(psd) for psd in self.hann.power_sums(gain[None], power, along, self.lines_hz)]
 
-        return self.layer_table(noise)
+        return self.layer_table(number, waves, in_bins)
 
 
 def noise_only_bins(of: MapBins, name: str, white_above_hz: float) -> NoiseOnlyBins:
@@ -309,6 +322,7 @@ def noise_only_bins(of: MapBins, name: str, white_above_hz: float) -> NoiseOnlyB
     hann = hann_apodization(seconds, apodization.fitted_modes)
     return NoiseOnlyBins(
         scene=of.scene,
+        layers=of.layers,
         conditions=of.conditions,
         node=of.node,
         frequencies=spectrum,

@@ -3,7 +3,7 @@
 The noise variance of a sample in the multipole bin b is a sum over the components of the time-streams, which
 `surveysim.forecasting.closed_forms` lists,
 
-    N_b = n_w W_b + n_s S_b + V E_b + B2 sin(el)^(1 - b) L_b(v, sin el)   [mK^2],
+    N_b = n_w W_b + n_s S_b + V E_b + sum over layers of B2 sin(el)^(1 - b) L_b(v, sin el)   [mK^2],
 
 with the levels of `ObservingConditions`: independent (n_w) and shared (n_s) white noise, variance V of the excess
 noise, amplitude of the layer and its velocities v against the scan. A component with the detector correlation K and the
@@ -14,7 +14,8 @@ PSD P(f) has the coefficient, averaged over the modes k of the annulus,
 with the array response a and the leakage H of `surveysim.forecasting.mode_response` and the pixel window p_b: pixels
 attenuate modes, and alias noise over all of them. For the layer the integral is a sum over its wavevectors alpha, at
 f' = alpha.v, weighted by |a^H (r exp(2 pi i alpha.r))|^2 for responsivities r. The same a give the transfer function of
-the sky. The spectrum of the layer is equation 2 of Sayers et al. (2010).
+the sky. The spectrum of a layer is equation 2 of Sayers et al. (2010). All are averaged over the speeds and directions
+along the track of the boresight (`surveysim.forecasting.track_motions`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from mapmaker.transfer_function import pixel_window
-from surveysim.forecasting.closed_forms import CLOSED_FORMS, ClosedForm, Noise, layer
+from surveysim.forecasting.closed_forms import CLOSED_FORMS, ClosedForm, Noise, layers
 from surveysim.forecasting.mode_response import PROJECTIONS, ProjectedArray, projected_array, ring_modes
 from surveysim.forecasting.noise_bins import MapBins, NoiseBins, noise_only_bins, scan_frequencies
 from surveysim.forecasting.observing_conditions import (
@@ -78,8 +79,8 @@ class NoiseModel:
         return sum((part(conditions) for part in self.parts.values()), self._none(conditions))
 
     def layer_noise(self, conditions: ObservingConditions) -> np.ndarray:
-        """Contribution of the layer to `noise`, (n_draw, n_bin) [mK^2]."""
-        return self.parts.get(layer, self._none)(conditions)
+        """Contribution of the atmosphere to `noise`, (n_draw, n_bin) [mK^2]."""
+        return self.parts.get(layers, self._none)(conditions)
 
     def _none(self, conditions: ObservingConditions) -> np.ndarray:
         return np.zeros((len(conditions.sine), len(self.signal_psd)))
@@ -122,10 +123,11 @@ def _map_bins(
 ) -> list[MapBins]:
     """Set up the bins of a pipeline's map at each speed of the track."""
     ell, arrays = setup.analysis.region.rings.ell, _arrays(setup, pipeline, conditions)
-    fitted = removed_modes(setup.observing, pipeline, arrays[0], conditions)
+    fitted = removed_modes(setup, pipeline, arrays[0], conditions)
     wave = ring_modes(ell).wave.ravel()
     alike: dict[str, Any] = {
         "scene": setup.scene,
+        "layers": setup.air.layers,
         "conditions": conditions,
         "arrays": arrays,
         "correlations": noise_correlations(setup.camera, pipeline, shapes),

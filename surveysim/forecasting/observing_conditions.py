@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from surveysim.atmosphere.dated_weather import DatedWeather
+from surveysim.atmosphere.layers import Layer
 from surveysim.atmosphere.weather import Water, Weather, draw_weather, slant_b2
 from surveysim.forecasting.fitted_modes import NO_FITTED_MODES, FittedModes, template_modes
 from surveysim.forecasting.mode_response import ProjectedArray, layer_waves
@@ -31,7 +32,6 @@ from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.low_frequency import excess_variance, excess_variances
 from surveysim.timestreams.observed_block import observation_levels, observation_weather
 from surveysim.timestreams.responsivity import load_losses
-from surveysim.timestreams.shared_parts import screen
 from surveysim.timestreams.simulation import (
     CameraSetup,
     ObservingSetup,
@@ -42,6 +42,7 @@ from surveysim.timestreams.simulation import (
 _NUMBERS = 5  # random numbers of a draw: four of the weather, one for the observation
 _SHIFTS = 8  # random shifts of the lattice of draws; their scatter is the error of the mean
 _DRAWS_A_SHIFT = 256
+_DRIFT_NODES = np.sqrt(1.5) * np.arange(-1, 2)  # of equal weight, with the variance of a normal deviate
 
 Correlation = np.ndarray | NoiseCorrelation | None  # between detectors; None for independent ones
 NoiseCorrelations = tuple[list[Correlation], Correlation]
@@ -62,18 +63,19 @@ class ObservingConditions:
         The stop's part of the light that detectors share.
     excess : (n_draw,)
         Variance of the excess noise [mK^2].
-    layer : (n_draw,)
-        Amplitude B2 sin(el)^(1 - b) of the layer, with the B2 of `slant_b2`.
+    layers : (n_layer, n_draw)
+        Amplitude B2 sin(el)^(1 - b) of each layer, with its share of the B2 of `slant_b2`.
     sine : (n_draw,)
         Sine of the elevation.
     angle : (n_draw, n_speed, n_direction)
         Position angle of the array from the line of motion [rad].
-    motion : (n_draw, n_speed, n_direction)
-        Complex velocity against the layer in the frame of the motion, at nodes of its speed and direction [rad/s].
+    motions : (n_draw, n_speed, n_motion) for each layer
+        Complex velocities against the layer in the frame of the boresight's motion, of equal weight at each of its
+        speeds [rad/s].
     speed_share : (n_draw, n_speed)
         Weight of each node of speed; they sum to 1.
-    wind_rad_s : (n_draw,)
-        Speed of the layer.
+    winds_rad_s : (n_layer, n_draw)
+        Speed of each layer.
     load_k : (n_draw,)
         Load beyond that at calibration, by the elevation.
     gain : (n_draw,)
@@ -85,20 +87,20 @@ class ObservingConditions:
     detector: np.ndarray
     stop_share: np.ndarray
     excess: np.ndarray
-    layer: np.ndarray
+    layers: np.ndarray
     sine: np.ndarray
     angle: np.ndarray
-    motion: np.ndarray
+    motions: tuple[np.ndarray, ...]
     speed_share: np.ndarray
-    wind_rad_s: np.ndarray
+    winds_rad_s: np.ndarray
     load_k: np.ndarray
     gain: np.ndarray
 
 
 class _ObservationGeometry(NamedTuple):
-    """Pointing of observations (n,): mean of sin(el)^(1 - b), elevation, parallactic and array angle."""
+    """Pointing of observations (n,): elevation of each scan (n, n_scan) and mean, parallactic and array angle."""
 
-    slant: np.ndarray
+    scan_elevation_rad: np.ndarray
     elevation_rad: np.ndarray
     parallactic_rad: np.ndarray
     array_angle_rad: np.ndarray
@@ -178,34 +180,58 @@ def population_conditions(setup: Setup) -> tuple[ObservingConditions, int]:
 def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingConditions:
     """Compute the observing conditions of some draws."""
     numbers, weather = zip(*draws, strict=True)
-    slant, elevation, parallactic, array_angle = _geometry(setup.observing, np.array(numbers))
+    scan_elevation, elevation, parallactic, array_angle = _geometry(setup.observing, np.array(numbers))
+    unshared, shared, detector, stop = _white_noise(setup, elevation, weather)
+    load_k, air = _load_changes(setup, elevation, weather), setup.air
     tracks = track_motions(setup)
     track = tracks.track_of[list(numbers)]
     turn = tracks.turn_rad[track]
-    unshared, shared, detector, stop = _white_noise(setup, elevation, weather)
-    load_k = _load_changes(setup, elevation, weather)
-    b2, layer, wind = np.zeros(len(weather)), np.zeros(len(weather)), np.zeros(len(weather), complex)
-    if setup.scene.atmosphere is not None:
-        b2 = np.array([item.b2 for item in weather])
-        layer = slant_b2(setup.air.water, weather, elevation) * slant
-        azimuth, height = np.array([item.wind_rad_s for item in weather]).T
-        wind = np.exp(-1j * parallactic) * (-azimuth + 1j * height)  # from azimuth and elevation to xi and eta
+    b2 = np.array([0.0 if item is None else item.b2 for item in weather])
+    at_slant = slant_b2(air.water, weather, elevation) if air.layers else b2
+    winds = np.reshape([_sky_wind(layer, weather, parallactic) for layer in air.layers], (-1, len(weather)))
     return ObservingConditions(
         white=unshared,
         shared=shared,
         detector=detector,
         stop_share=stop,
         excess=_excess(setup, b2),
-        layer=layer,
+        layers=np.reshape(
+            [at_slant * _slant_factor(layer, scan_elevation) for layer in air.layers], (-1, len(weather))
+        ),
         sine=np.sin(elevation),
         # A backward scan is a forward scan in a frame rotated by half a turn, with the conjugate response.
         angle=array_angle[:, None, None] + np.mod(turn, np.pi),
-        motion=tracks.speed_rad_s[:, None] - wind[:, None, None] * np.exp(-1j * turn),
+        motions=tuple(
+            _drifted(layer, tracks.speed_rad_s[:, None], wind[:, None, None] * np.exp(-1j * turn))
+            for layer, wind in zip(air.layers, winds, strict=True)
+        ),
         speed_share=tracks.share[track],
-        wind_rad_s=np.abs(wind),
+        winds_rad_s=np.abs(winds),
         load_k=load_k,
         gain=_gains(setup, load_k),
     )
+
+
+def _slant_factor(layer: Layer, elevation_rad: np.ndarray) -> np.ndarray:
+    """Amplitude (n_draw,) of a layer over B2, as a mean over scans at some elevations (n_draw, n_scan)."""
+    index = layer.section.spectral_index
+    return layer.b2_factor * np.mean(np.sin(elevation_rad) ** (1 - index), axis=1)
+
+
+def _sky_wind(layer: Layer, weather: Sequence[Weather], parallactic_rad: np.ndarray) -> np.ndarray:
+    """Complex velocity (n_draw,) of a layer along xi and eta, from that in azimuth and elevation."""
+    speed, angle = np.array([layer.wind(item) for item in weather]).T
+    return np.exp(-1j * parallactic_rad) * speed * (-np.cos(angle) + 1j * np.sin(angle))
+
+
+def _drifted(layer: Layer, speed_rad_s: np.ndarray, wind_rad_s: np.ndarray) -> np.ndarray:
+    """Motions (..., n_motion) against a layer with a wind (..., n_direction), at nodes of its drift."""
+    drift = layer.section.wind_drift
+    if drift is None:
+        return speed_rad_s - wind_rad_s
+    faster, turned = np.meshgrid(drift.speed_rms * _DRIFT_NODES, drift.direction_rms_rad * _DRIFT_NODES)
+    changed = wind_rad_s[..., None] * np.exp(faster + 1j * turned).ravel()
+    return speed_rad_s - changed.reshape(*wind_rad_s.shape[:-1], -1)
 
 
 def _load_changes(setup: Setup, elevation_rad: np.ndarray, weather: Sequence[Weather | None]) -> np.ndarray:
@@ -260,12 +286,9 @@ def _geometry(observing: ObservingSetup, numbers: np.ndarray) -> _ObservationGeo
     """Pointing of the observations with some numbers (n,), which may occur more than once."""
     distinct, place = np.unique(numbers, return_inverse=True)
     elevation, parallactic = observing.angles.elevation_rad[distinct], observing.angles.parallactic_rad[distinct]
-    air, slant = observing.scene.atmosphere, np.zeros(len(distinct))
-    if air is not None:
-        slant = np.mean(np.sin(elevation) ** (1 - air.spectral_index), axis=1)
     camera_angle = np.array([drawn_offsets(observing, number)[1] for number in distinct.tolist()])
     middle = parallactic[:, parallactic.shape[1] // 2]
-    found = slant, elevation.mean(axis=1), middle, middle + camera_angle
+    found = elevation, elevation.mean(axis=1), middle, middle + camera_angle
     return _ObservationGeometry(*(item[place] for item in found))
 
 
@@ -329,20 +352,23 @@ def _correlations(
 
 
 def removed_modes(
-    observing: ObservingSetup, pipeline: CleaningPipeline, array: ProjectedArray, levels: ObservingConditions
+    setup: Setup, pipeline: CleaningPipeline, array: ProjectedArray, levels: ObservingConditions
 ) -> FittedModes:
     """Find the modes in time that the responsivity fits of a pipeline remove from scans.
 
-    They are those of a layer that moves at the median speed of `levels`.
+    They are those of layers that move at the median speeds of `levels`.
     """
-    fits = {"scan": 1.0, "observation": 1 / observing.scans.n_scans}
+    scans = setup.observing.scans
+    fits = {"scan": 1.0, "observation": 1 / scans.n_scans}
     # PCA fits a mode to each scan, even with known responsivities.
-    share = fits["scan"] if pipeline.uses("pca") else fits.get(observing.scene.cleaning.responsivities, 0.0)
-    if not observing.scene.turbulent or not len(array.basis) or not share:
+    share = fits["scan"] if pipeline.uses("pca") else fits.get(setup.scene.cleaning.responsivities, 0.0)
+    if not setup.air.layers or not len(array.basis) or not share:
         return NO_FITTED_MODES
-    seconds = samples_per_scan(observing.scans) / observing.scans.sample_rate_hz
-    motion = np.median(np.abs(levels.motion))
-    layer = layer_waves(screen(observing.scene), motion * seconds, [np.median(levels.sine)])
-    common = array.phases(2 * np.pi * layer.alpha).mean(axis=0)
-    power = layer.power[0] * (common.real**2 + common.imag**2)
-    return template_modes((layer.alpha * motion).real, power, seconds).scaled(share)
+    seconds, frequencies, powers = samples_per_scan(scans) / scans.sample_rate_hz, [], []
+    for layer, amplitude, motions in zip(setup.air.layers, levels.layers, levels.motions, strict=True):
+        motion = np.median(np.abs(motions))
+        waves = layer_waves(layer.strips.screen, motion * seconds, [np.median(levels.sine)])
+        common = array.phases(2 * np.pi * waves.alpha).mean(axis=0)
+        frequencies.append((waves.alpha * motion).real)
+        powers.append(np.median(amplitude) * waves.power[0] * (common.real**2 + common.imag**2))
+    return template_modes(np.concatenate(frequencies), np.concatenate(powers), seconds).scaled(share)

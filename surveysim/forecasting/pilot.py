@@ -80,7 +80,7 @@ def predict_kept_scans(
     n_scans, n_pilot = _pilot_size(setup.observing, scan_samples, len(weight))
     if n_scans * n_pilot * scan_samples > _MOST_SAMPLES:
         return unknown
-    order = np.argsort(conditions.layer, kind="stable")
+    order = np.argsort(conditions.layers.sum(axis=0), kind="stable")
     importance = np.cumsum(weight[order] / weight.sum() + 1 / len(weight)) / 2
     places = np.unique(np.searchsorted(importance, (np.arange(n_pilot) + 0.5) / n_pilot))
     places = np.minimum(places, len(weight) - 1)

@@ -115,7 +115,7 @@ def compared_ell(scene: Scene) -> tuple[float, float]:
     """
     width = scene.instrument.beam_fwhm_rad / np.sqrt(8 * np.log(2))
     beam = np.sqrt(-np.log(_BEAM_LEFT)) / width
-    samples = np.pi * scene.scan.sample_rate_hz / scene.scan.speed_rad_s
+    samples = np.pi * scene.scan.sample_rate_hz / scene.scan.fastest_rad_s
     return _RESOLUTIONS * resolution_ell(scene), float(min(beam, _PIXEL_REACH * np.pi / scene.map.pixel_rad, samples))
 
 
@@ -169,9 +169,12 @@ def _repeated_layer(path: ScanSection, radius_rad: float, inputs: EffectInputs) 
     if inputs.pipeline.steps == ("none",):
         size, where = float(parts.sum()), "Scans share trends of the layer in any wind"
     else:
-        travel = inputs.conditions.wind_rad_s * (path.duration_s + path.turnaround_s)
-        slow = travel < 2 * radius_rad
-        size = float(parts[slow].sum())
+        travel = inputs.conditions.winds_rad_s * (path.duration_s + path.turnaround_s)
+        amplitude = inputs.conditions.layers
+        total = amplitude.sum(axis=0)
+        alike = np.sum(amplitude, axis=0, where=travel < 2 * radius_rad)
+        slow = np.divide(alike, total, out=np.zeros_like(total), where=total > 0)
+        size = float(parts @ slow)
         where = f"In {_percent(slow.mean())} of the observations consecutive scans see the same part of the layer"
     sentence = f"{where}, which the forecast takes as independent: {_percent(size)} of the noise."
     return NeglectedEffect("scans that share air", size, sentence, size > LARGE)

@@ -115,7 +115,7 @@ class PongScan(FigureScan):
     """Speed of the boresight along the lines, without the rounding of corners."""
     terms: Annotated[int, *whole(1, MOST_TERMS)]
     """Number of terms of the Fourier series of the triangle waves along both axes: fewer round the corners more. The
-    pong of SCUBA-2 has 5."""
+    scan planner of FYST has 5."""
 
     @property
     def vertices(self) -> tuple[int, int]:

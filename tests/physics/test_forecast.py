@@ -147,7 +147,7 @@ def test_a_layer_at_its_slant_distance_leaves_more(algorithm, at_60, at_45):
     setup = prepare(load_scene("scenarios/lynx.toml", {"observations": 40, "cleaning.algorithm": algorithm}))
     sines = np.sin(np.radians([45, 60, 90]))
     levels = replace(observing_conditions(setup, survey_draws(setup, 0, 40)), sine=np.resize(sines, 40))
-    model, unit = next(noise_models(setup, levels)), replace(levels, layer=np.ones(40))
+    model, unit = next(noise_models(setup, levels)), replace(levels, layers=np.ones((1, 40)))
     layers = [model.layer_noise(replace(unit, sine=np.full(40, sine))) for sine in sines]
     left = [noise[:, setup.analysis.region.selected].sum() for noise in layers]
     assert left[0] / left[2] == pytest.approx(at_45, rel=0.04)
@@ -208,7 +208,7 @@ def test_frames_of_observations_are_those_of_the_scans(scene_of):
         layer = np.array([sky_vector(angle, *weather.wind_rad_s) for angle in pointing.scan_parallactic_rad]) @ [1, 1j]
         relative = pointing.velocity_rad_s @ [1, 1j] - layer
         along = pointing.velocity_rad_s[:2] @ [1, 1j] / setup.observing.scans.speed_rad_s
-        np.testing.assert_allclose(levels.motion[number, 0], relative[:2] / along, rtol=1e-9)
+        np.testing.assert_allclose(levels.motions[0][number, 0], relative[:2] / along, rtol=1e-9)
         offsets = np.stack(sky_offsets(setup.camera.focal_plane, pointing.scan_array_angle_rad[:1]), axis=-1) @ [1, 1j]
         place = projected_array(
             setup.camera.focal_plane,

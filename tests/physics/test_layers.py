@@ -16,8 +16,9 @@ from surveysim.atmosphere.weather import Weather
 from surveysim.reduction.setup import prepare
 from surveysim.scene.scene import load_scene
 from surveysim.telescope.pointing import sky_vector
-from surveysim.timestreams.atmosphere import add_layers
-from surveysim.timestreams.layer_views import LayerNumbers, layer_wind
+from surveysim.timestreams.atmosphere import add_layers, add_realization, straight_scans
+from surveysim.timestreams.curved_layer import curved_scans
+from surveysim.timestreams.layer_views import LayerNumbers, LayerRealization, layer_wind
 from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.simulation import observation_path
 from tests.scenes import SMALL_SCENE, without_sections
@@ -178,6 +179,43 @@ def test_trends_of_scans_decorrelate(air):
         found[seconds] = np.mean(gradient[:, :-1] * gradient[:, 1:]) / np.mean(gradient**2)
     assert found[None] > 0.2
     assert found[10.0] == pytest.approx(found[None] * evolution_correlation(8.0, 10.0), abs=SIGMAS / math.sqrt(500))
+
+
+DAISY = """\
+[scan]
+pattern = "daisy"
+radius = "6 arcmin"
+radial_period = "6 s"
+chunk = "6 s"
+duration = "24 s"
+dither = "0 arcsec"
+sample_rate = "10 Hz"
+"""
+
+
+@pytest.mark.parametrize("pattern", ["raster", "daisy"])
+def test_a_realization_with_a_weight_of_one_is_the_layer(air, tmp_path, pattern):
+    """But for its mean in each scan, which all samples of the scan have in common."""
+    path = tmp_path / "scene.toml"
+    text = path.read_text()
+    if pattern == "daisy":
+        begin = text.index("[scan]")
+        path.write_text(text[:begin] + DAISY + "\n" + text[text.index("[atmosphere]") :])
+    setup = air({}, {"numerics.precision": "float64", "fixed_pointing.elevation": "90 deg"})
+    _, pointing = observation_path(setup.observing, 0)
+    n_scans = setup.observing.scans.n_scans
+    block, (layer,) = Block(0, 0, n_scans), setup.air.layers
+    numbers = LayerNumbers(setup.scene.seed, 0, 0, "")
+    scans_of = straight_scans if pointing.straight else curved_scans
+    of = scans_of(layer, setup, pointing, layer_wind(layer, WEATHER, pointing, numbers), b2=WEATHER.b2)
+    frozen, mixed = np.zeros((2, setup.camera.n_det, len(pointing.time_s)))
+    item = LayerRealization(numbers, 0, n_scans, 0, n_scans)
+    add_realization(frozen, of, item, block)
+    add_realization(mixed, of, replace(item, weight=np.ones((n_scans, len(pointing.time_s) // n_scans))), block)
+    difference = (frozen - mixed).reshape(setup.camera.n_det, n_scans, -1)
+    assert pointing.straight == (pattern == "raster") and np.ptp(frozen) > 5
+    np.testing.assert_allclose(np.ptp(difference, axis=(0, 2)), 0, atol=1e-4)
+    assert np.abs(difference).max() > 0.1
 
 
 def test_blocks_of_an_evolving_layer(air):

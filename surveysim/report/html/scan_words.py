@@ -64,6 +64,11 @@ def _pong(scan: Values) -> str:
     )
 
 
+def _track(scan: Values) -> str:
+    left_out = f", with {short(scan['turnaround_s'])} s left out between them" if scan["turnaround_s"] else ""
+    return f"the track of a table, in chunks of {short(scan['duration_s'])} s{left_out}."
+
+
 def _figure(scan: Values) -> str:
     axes = {"sky": "along right ascension and declination", "horizon": "along azimuth and elevation"}[scan["frame"]]
     turned = f", turned by {_degrees(scan['angle_rad'])}" if scan["angle_rad"] else ""
@@ -87,4 +92,5 @@ _WORDS: dict[str, Callable[[Values], str]] = {
     "daisy": _daisy,
     "lissajous": _lissajous,
     "pong": _pong,
+    "track": _track,
 }

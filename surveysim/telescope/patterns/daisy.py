@@ -36,6 +36,10 @@ class Daisy(Figure):
         """Return the radius."""
         return self.radius_rad
 
+    def half_width_rad(self) -> float:
+        """Return the radius."""
+        return self.radius_rad
+
 
 def scene_daisy(section: DaisyScan, centre: FieldCentre, site: Site | None) -> Daisy:
     """Make the daisy of a section [scan]."""

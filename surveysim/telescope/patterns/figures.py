@@ -40,6 +40,10 @@ class Figure(Scans):
     def extent_rad(self) -> float:
         """Compute the largest offset from the centre along either axis of the sky, in any observation [rad]."""
 
+    @abstractmethod
+    def half_width_rad(self) -> float:
+        """Return half the width of the area that the curve fills, where it is narrowest [rad]."""
+
     def box_extent_rad(self, half_x_rad: float, half_y_rad: float) -> float:
         """Compute the extent of a box about the centre, with half sides along x and y."""
         if self.horizon or self.angle_step_rad:

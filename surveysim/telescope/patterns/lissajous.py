@@ -34,6 +34,10 @@ class Lissajous(Figure):
         """Compute the extent of the box that the figure fills."""
         return self.box_extent_rad(*self.amplitudes_rad)
 
+    def half_width_rad(self) -> float:
+        """Return the smaller amplitude."""
+        return min(self.amplitudes_rad)
+
 
 def scene_lissajous(section: LissajousScan, centre: FieldCentre, site: Site | None) -> Lissajous:
     """Make the Lissajous figure of a section [scan]."""

@@ -13,6 +13,7 @@ from surveysim.atmosphere.thin_screen import Screen, structure_function
 from surveysim.forecasting.mode_kernels import apodized_sums
 from surveysim.forecasting.mode_response import (
     LayerWaves,
+    evolution_shifts,
     layer_gain,
     layer_stream_gain,
     layer_waves,
@@ -234,7 +235,7 @@ def test_layer_gain_is_the_double_sum(algorithm):
     algorithm = "average" if algorithm == "quadratic" else algorithm  # of seven, six templates leave next to nothing
     array = projected_array(plane, 0.4, responsivity=gain, algorithm=algorithm)
     left = naive.cleaning_matrix(plane.x_rad, plane.y_rad, gain, ORDERS[algorithm])
-    layer = LayerWaves(waves(4) / 10, np.ones((1, 4)))
+    layer = LayerWaves(waves(4) / 10, np.ones((1, 4)), np.zeros(1), np.ones(1))
     expected = naive.layer_gain(array.place, gain, left, wave, layer.alpha)
     found = layer_gain(array, array.response(wave), layer)
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9 * expected.max())
@@ -250,12 +251,12 @@ def test_wrong_responsivities_are_those_of_the_projection_alone(algorithm):
     array = projected_array(plane, 0.4, responsivity=gain, algorithm=algorithm, assumed=assumed)
     left = naive.cleaning_matrix(plane.x_rad, plane.y_rad, assumed, ORDERS[algorithm])
     np.testing.assert_allclose(array.response(wave), left.conj().T @ array.phases(wave), atol=1e-9)
-    layer = LayerWaves(waves(4) / 10, np.ones((1, 4)))
+    layer = LayerWaves(waves(4) / 10, np.ones((1, 4)), np.zeros(1), np.ones(1))
     expected = naive.layer_gain(array.place, gain, left, wave, layer.alpha)
     found = layer_gain(array, array.response(wave), layer)
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9 * expected.max())
     # Of a layer that all detectors see alike, the error times the layer is left.
-    flat = LayerWaves(np.array([1e-9 + 0j]), np.ones((1, 1)))
+    flat = LayerWaves(np.array([1e-9 + 0j]), np.ones((1, 1)), np.zeros(1), np.ones(1))
     rms = np.sqrt(np.mean((left @ gain) ** 2))
     assert np.sqrt(layer_stream_gain(array, flat)[0]) == pytest.approx(rms, rel=1e-6)
     assert stream_power(array, None) == pytest.approx(np.trace(left @ left.T) / 7, rel=1e-12)
@@ -281,3 +282,14 @@ def test_sums_over_other_frequencies_are_refused():
     for strength, power in (((4, 8), (2, 9)), ((3, 9), (2, 9)), ((1, 9), (2, 8)), ((4, 9), (9,))):
         with pytest.raises(ValueError, match="found gain .* are expected"):
             apodization.power_sums(np.ones(strength), np.ones(power), frequency, at_hz)
+
+
+@pytest.mark.parametrize("time_s", [2.0, 30.0])
+def test_shifts_have_the_correlation_of_an_evolving_layer(time_s):
+    """Five shifts of each sign, against the closed form up to the lag T; a frozen layer has none."""
+    shift, share = evolution_shifts(time_s)
+    assert share.sum() == pytest.approx(1) and len(shift) == 10
+    lag = np.linspace(0, 1, 31)
+    expected = (1 - lag / 2) * np.cos(np.pi * lag / 2) + np.sin(np.pi * lag / 2) / np.pi
+    np.testing.assert_allclose(np.cos(2 * np.pi * np.outer(lag * time_s, shift)) @ share, expected, atol=0.04)
+    assert [item.tolist() for item in evolution_shifts(None)] == [[0], [1]]

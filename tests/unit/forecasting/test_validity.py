@@ -161,7 +161,7 @@ def test_shares_of_many_observations_follow_the_weather(scene_of):
     levels = observing_conditions(setup, survey_draws(setup, 0, 100))
     kept = predict_kept_scans(setup, setup.analysis.pipelines, levels, np.ones(100))["actual"]
     assert kept.share.shape == (100,) and kept.share.min() >= 0 and kept.share.max() <= 1
-    order = np.argsort(levels.layer)
+    order = np.argsort(levels.layers[0])
     assert kept.share[order][:25].mean() < kept.share[order][-25:].mean() - 0.5
     assert KeptScans(np.array([1.0, 0.5])).discarded == 0.25
 
