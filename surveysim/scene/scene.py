@@ -35,7 +35,7 @@ from surveysim.scene.place import Place, SiteSection, own_place, shipped_place, 
 from surveysim.scene.readout import ReadoutSections
 from surveysim.scene.renamed_keys import renamed_lines
 from surveysim.scene.response import ResponseSections
-from surveysim.scene.scan_patterns import AnyScan, RasterScan
+from surveysim.scene.scan_patterns import AnyScan
 from surveysim.scene.scan_section import MIN_SAMPLES
 from surveysim.scene.section import Section
 from surveysim.scene.shipped import MAX_NAME, NAME, find_scene, is_name, no_such_scene
@@ -350,8 +350,6 @@ def survey_hash(scene: Scene) -> str:
 def _content(scene: Scene, excluded: Mapping[str, Any]) -> dict[str, Any]:
     """Values of a scene without some keys; of other bands all that the results depend on."""
     content = scene.model_dump(exclude={**excluded, "band": True, "optimise": True, "telescope": True})
-    if isinstance(scene.scan, RasterScan):
-        del content["scan"]["pattern"]  # as of scenes from before there were other patterns
     if scene.band is None:
         return content
     return content | {"band": scene.band.name, "others": [_of_other(scene, other, excluded) for other in scene.others]}
