@@ -176,6 +176,13 @@ def add_screen(data, start, stop, strip, x0, y0, dx, amplitude):
             data[d, start + n] += amplitude * ((1 - t) * along_near + t * along_far)
 
 
+def add_weighted(data, start, values, weight):
+    """As `surveysim.atmosphere.screen_kernels.add_weighted`."""
+    for d in range(len(values)):
+        for n in range(len(weight)):
+            data[d, start + n] += weight[n] * values[d, n]
+
+
 def add_screen_nearest(data, start, stop, strip, x0, y0, dx, amplitude):
     """Look-up of the lattice point that is nearest along each axis, the higher one halfway."""
     for d in range(data.shape[0]):
@@ -474,14 +481,16 @@ def wave_correlation(beam, separation, band, aperture_weight, stop_weight):
     Aperture and stop have one brightness each at all frequencies, so that their light goes as eta and 1 - eta.
     """
     weights = (aperture_weight, stop_weight) if stop_weight else (aperture_weight,)
+    by_frequency = []
+    for frequency, transmission in band:
+        here, apart = beam.at(frequency), np.array([separation * frequency])
+        gamma = here.aperture(apart)[0], here.stop(apart)[0] if stop_weight else 0.0
+        by_frequency.append((transmission, (here.efficiency, 1 - here.efficiency), gamma))
     found = 0.0
     for first, one in enumerate(weights):
         for second, other in enumerate(weights):
             total = norm = 0.0
-            for frequency, transmission in band:
-                here, apart = beam.at(frequency), np.array([separation * frequency])
-                light = here.efficiency, 1 - here.efficiency
-                gamma = here.aperture(apart)[0], here.stop(apart)[0]
+            for transmission, light, gamma in by_frequency:
                 noise = transmission**2 * light[first] * light[second]
                 total += noise * gamma[first] * gamma[second]
                 norm += noise

@@ -100,9 +100,11 @@ def add_sky(data, sky, place, x_rad, y_rad, gain):
     below, across = np.empty(_AT_ONCE, np.int32), np.empty((3, _AT_ONCE), sky.dtype)
     for first in range(0, data.shape[1], _AT_ONCE):
         part = slice(first, min(first + _AT_ONCE, data.shape[1]))
+        c0, cx, cy, r0 = place[0, part], place[1, part], place[2, part], place[3, part]
+        rx, ry, wx, wy = place[4, part], place[5, part], place[6, part], place[7, part]
         for d in range(data.shape[0]):
             samples = data[d, part]
-            _corners(place[:, part], x_rad[d], y_rad[d], gain[d], n_x, n_y, below, across)
+            _corners(c0, cx, cy, r0, rx, ry, wx, wy, x_rad[d], y_rad[d], gain[d], n_x, n_y, below, across)
             for n in range(samples.size):
                 # Unsigned, which avoids numba's check for negative indices.
                 p, u, v, g = np.uint64(below[n]), across[0, n], across[1, n], across[2, n]
@@ -113,10 +115,8 @@ def add_sky(data, sky, place, x_rad, y_rad, gain):
 
 
 @njit(forceinline=True, error_model="numpy")
-def _corners(place, x, y, gain, n_x, n_y, below, across):
+def _corners(c0, cx, cy, r0, rx, ry, wx, wy, x, y, gain, n_x, n_y, below, across):
     """Write the flat pixel below each sample, its distance from that along both axes, and its gain: 0 off the sky."""
-    c0, cx, cy, r0 = place[0], place[1], place[2], place[3]
-    rx, ry, wx, wy = place[4], place[5], place[6], place[7]
     for n in range(c0.size):
         w = 1.0 / (1.0 + x * wx[n] + y * wy[n])
         c = (c0[n] + x * cx[n] + y * cy[n]) * w

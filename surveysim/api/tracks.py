@@ -39,8 +39,8 @@ def track(
     Returns
     -------
     Table with the columns `observation`, `start_mjd` (UTC), `time` since the start, `az`, `el`, `ra`, `dec`, and
-    `flag`, which is 1 in turnarounds. At fixed pointing `start_mjd`, `az` and `el` are missing; without simulated turnarounds
-    `flag` is.
+    `flag`, which is 1 in turnarounds. At fixed pointing `start_mjd`, `az` and `el` are missing; without simulated
+    turnarounds `flag` is.
 
     Raises
     ------

@@ -46,6 +46,11 @@ class DatedWeather:
         season = None if self.seasons is None else self.seasons[observation]
         return season, {name: float(values[observation]) for name, values in self.known.items()}
 
+    def sampling_factor(self, *, with_water: bool) -> float:
+        """Bound of the variance of a mean over observations, over that of independent draws; 0 if nothing is drawn."""
+        drawn = {"wind_speed", "wind_direction", *(("pwv",) if with_water else ())} - self.known.keys()
+        return self.variance_factor if drawn or not {"b2", "water_fluctuation"} & self.known.keys() else 0.0
+
 
 @lru_cache(maxsize=8)  # points of a sweep have weather in common
 def dated_weather(

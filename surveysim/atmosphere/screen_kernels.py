@@ -109,6 +109,20 @@ def add_screen(data, start, stop, strip, x0, y0, dx, amplitude):
 
 
 @njit(cache=True, nogil=True)
+def add_weighted(data, start, values, weight):
+    """Add values (n_det, n) times the weight (n,) of each sample to the samples of every detector from `start` on."""
+    if not (0 <= start <= data.shape[1] - values.shape[1] and values.shape[0] == data.shape[0]):
+        raise IndexError("samples or detectors outside the data")
+    if weight.size != values.shape[1]:
+        raise IndexError("one weight for each sample is needed")
+    own = weight.astype(values.dtype)
+    for d in range(values.shape[0]):
+        samples, of_detector = data[d, start : start + values.shape[1]], values[d]
+        for n in range(own.size):
+            samples[n] += own[n] * of_detector[n]
+
+
+@njit(cache=True, nogil=True)
 def add_screen_nearest(data, start, stop, strip, x0, y0, dx, amplitude):
     """As `add_screen`, with the nearest lattice point, the higher one for ties."""
     _check_inside(data, start, stop, strip, x0, y0, dx)

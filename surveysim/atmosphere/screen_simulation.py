@@ -335,11 +335,12 @@ def add_along_tracks(
     strips: StripCache,
     deviates: NormalDeviates,
     trends: "ScanTrends | None" = None,
+    mean_removed: bool = False,
 ) -> None:
     """Add the emission of the moving layer along given `tracks` of the scans; else as `add_atmosphere`.
 
-    An amplitude (n_scan, n) of each sample is that of a realization that others join: it has a mean of 0 over the strip
-    of each scan.
+    With `mean_removed` the layer has a mean of 0 over the strip of each scan, as a realization that others join, and an
+    amplitude (n_scan, n) of each sample.
     """
     from surveysim.atmosphere import screen_kernels
 
@@ -353,17 +354,18 @@ def add_along_tracks(
             trends.impose(scans, layers)
         for scan, layer in zip(scans, layers, strict=True):
             track, (start, stop) = (x[scan], y[scan], steps[scan]), scan_bounds[scan]
-            if amplitude_mk.ndim == 1:
+            if mean_removed:
+                seen = np.zeros((len(data_mk), stop - start), data_mk.dtype)
+                add_layer(seen, 0, stop - start, centred(layer, tracks.length_rad[scan] / step), *track, 1.0)
+                screen_kernels.add_weighted(data_mk, start, seen, amplitude_mk[scan])
+            else:
                 add_layer(data_mk, start, stop, layer, *track, float(amplitude_mk[scan]))
-                continue
-            seen = np.zeros((len(data_mk), stop - start), data_mk.dtype)
-            add_layer(seen, 0, stop - start, centred(layer, tracks.length_rad[scan] / step), *track, 1.0)
-            data_mk[:, start:stop] += seen * amplitude_mk[scan].astype(seen.dtype)
 
 
 def centred(layer: np.ndarray, end: float) -> np.ndarray:
-    """Subtract the mean over the points of a strip (n_lane, n_x) up to a column `end` from it, in place."""
-    layer -= layer[:, : ceil(end) + 1].mean(dtype=float)
+    """Subtract the mean over the points of a strip (n_lane, n_x) up to a column `end` from these, in place."""
+    used = layer[:, : ceil(end) + 3]
+    used -= used.mean()
     return layer
 
 

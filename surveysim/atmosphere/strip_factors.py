@@ -29,9 +29,8 @@ from threadpoolctl import threadpool_limits
 from surveysim.atmosphere.thin_screen import LAG_MAX, Screen, structure_function, structure_slope
 from surveysim.runtime.errors import OutOfRangeError
 
-# Fraction of half a period that is changed to make the seam smooth, and the number of even powers fitted there.
+# Fraction of half a period that is changed to make the seam smooth.
 SEAM = 0.25
-_SEAM_TERMS = 4
 # Modes that contribute less than the first fraction to the differences between lattice neighbours are omitted; all
 # omitted modes, of which long strips have many, contribute at most the second.
 _NEGLIGIBLE, NEGLIGIBLE_SUM = 1e-9, 1e-3
@@ -44,6 +43,27 @@ _VECTOR = 8
 _N_X_MIN, N_X_MAX = 32, 2**17
 # Largest numbers of lattice points and of elements in all matrices: a few gigabytes.
 MOST_POINTS, _MOST_ELEMENTS = 2**24, 10**8
+
+
+def _smooth_step(place: np.ndarray) -> np.ndarray:
+    step = np.clip(place / 0.8, 0.0, 1.0)
+    return step**4 * (35.0 - 84.0 * step + 70.0 * step**2 - 20.0 * step**3)
+
+
+@dataclass(frozen=True)
+class Seam:
+    """Change of a covariance at the seam.
+
+    Attributes
+    ----------
+    terms
+        Number of even powers in the polynomial that it changes into.
+    step
+        Share of the polynomial, as a function of the place from the beginning of the change, 0, to the seam, 1.
+    """
+
+    terms: int = 4
+    step: Callable[[np.ndarray], np.ndarray] = _smooth_step
 
 
 @dataclass(frozen=True)
@@ -235,8 +255,10 @@ def mode_parts(n_x: int) -> np.ndarray:
     return part
 
 
-def lane_spectra(screen: Screen, n_x: int, n_lane: int, step_rad: float) -> tuple[float, np.ndarray]:
-    """Spectra of the covariance along x.
+def lane_spectra(
+    screen: Screen, n_x: int, n_lane: int, step_rad: float, seam: Seam | None = None
+) -> tuple[float, np.ndarray]:
+    """Spectra of the covariance along x, with a `seam`.
 
     Returns
     -------
@@ -251,7 +273,7 @@ def lane_spectra(screen: Screen, n_x: int, n_lane: int, step_rad: float) -> tupl
     x = step_rad * np.arange(n_x // 2 + 1)
     distance = np.hypot(x[:, None], step_rad * np.arange(n_lane))
     covariance = -0.5 * (structure_function(screen, distance) - ramp_variance * x[:, None] ** 2)
-    return ramp_variance, dct(smooth_seam(covariance), type=1, axis=0)
+    return ramp_variance, dct(smooth_seam(covariance, seam or Seam()), type=1, axis=0)
 
 
 def _ramp_variance(screen: Screen, n_x: int, step_rad: float) -> float:
@@ -259,20 +281,18 @@ def _ramp_variance(screen: Screen, n_x: int, step_rad: float) -> float:
     return max(0.0, float(structure_slope(screen, half)) / (2.0 * half))
 
 
-def smooth_seam(covariance: np.ndarray) -> np.ndarray:
+def smooth_seam(covariance: np.ndarray, seam: Seam) -> np.ndarray:
     """Make the covariance (n_x/2 + 1, n_lane) smooth and even about its last row, the seam.
 
     Over the last `SEAM` of its length it changes into the best-fitting polynomial that is even about the seam.
     """
     n = int(SEAM * (covariance.shape[0] - 1))
     s = np.arange(n, -1, -1.0) / n  # 1 where the change begins, 0 at the seam
-    even = s[:, None] ** np.arange(0, 2 * _SEAM_TERMS, 2)
-    far = slice(0, max(_SEAM_TERMS, n // 2))
+    even = s[:, None] ** np.arange(0, 2 * seam.terms, 2)
+    far = slice(0, max(seam.terms, n // 2))
     end = covariance[-n - 1 :]
     coefficients = np.linalg.lstsq(even[far], end[far], rcond=None)[0]
-    step = np.clip((1.0 - s) / 0.8, 0.0, 1.0)
-    step = step**4 * (35.0 - 84.0 * step + 70.0 * step**2 - 20.0 * step**3)
-    return np.concatenate([covariance[: -n - 1], end + step[:, None] * (even @ coefficients - end)])
+    return np.concatenate([covariance[: -n - 1], end + seam.step(1.0 - s)[:, None] * (even @ coefficients - end)])
 
 
 def difference_weights(n_x: int) -> tuple[np.ndarray, np.ndarray]:

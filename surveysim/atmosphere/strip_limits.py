@@ -22,6 +22,8 @@ from surveysim.runtime.errors import OutOfRangeError
 _MOST_WORK, _FEWEST_LANES = 1e8, 4
 # Strips of a period of so many beams and so many points have negligible negative eigenvalues, up to this index.
 _LONG_BEAMS, _LONG_POINTS, _LONG_INDEX = 64, 128, 3.9
+# The same for wide strips, with an outer scale of so many beams too, and steps of this fraction of one or more.
+_WIDE_INDEX, _WIDE_STEP = 3.7, 1 / 32
 
 
 def check_strip(strips: StripCache, length_rad: float) -> int:
@@ -49,7 +51,7 @@ def check_strip(strips: StripCache, length_rad: float) -> int:
     """
     n_lane, step, n_x = strips.n_lane, strips.step_rad, check_size(strips, length_rad)
     if strips.factorize is factorize_wide:
-        if not _is_surely_built(strips, n_x):
+        if not _is_surely_wide(strips, n_x):
             strips.strip_for(length_rad)
         return n_x * n_lane
     used = _used(strips.screen, n_x, n_lane, step)
@@ -75,14 +77,18 @@ def _is_surely_built(strips: StripCache, n_x: int) -> bool:
     if n_long > N_X_MAX or strips.screen.index > _LONG_INDEX:
         return False
     try:
-        if strips.factorize is factorize_wide:
-            check_wide(n_long, n_lane, step, strips.screen)
-        else:
-            check_points(n_long, n_lane, step, strips.screen)
-            check_elements(n_long // 2 + 1, n_long, n_lane, step)
+        check_points(n_long, n_lane, step, strips.screen)
+        check_elements(n_long // 2 + 1, n_long, n_lane, step)
     except OutOfRangeError:
         return False
     return True
+
+
+def _is_surely_wide(strips: StripCache, n_x: int) -> bool:
+    """Return whether wide strips of `n_x` points can be built without doubling."""
+    screen, step = strips.screen, strips.step_rad
+    beams = min(n_x * step, screen.outer_scale_rad) / screen.beam_rad
+    return beams >= _LONG_BEAMS and step >= _WIDE_STEP * screen.beam_rad and screen.index <= _WIDE_INDEX
 
 
 @lru_cache(maxsize=32)  # points of a sweep have similar layers

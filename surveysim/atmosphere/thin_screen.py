@@ -135,6 +135,7 @@ def structure_slope(screen: Screen, theta_rad: float | np.ndarray) -> np.ndarray
     return screen.beam_rad ** (screen.index - 2.0) * spline(x, 1) * np.exp(spline(x)) / theta_rad
 
 
+@lru_cache(maxsize=16)  # realizations and layers of all observations have them in common
 def structure_table(screen: Screen) -> tuple[np.ndarray, np.ndarray]:
     """Tabulate the structure function for `surveysim.atmosphere.trend_kernels.structure`.
 

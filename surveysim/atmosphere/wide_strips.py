@@ -4,7 +4,8 @@ The matrices of `surveysim.atmosphere.strip_factors` take a time that grows with
 Fourier transform across replaces most of them. At the frequency k along x the covariance C(k, dy) decays over 1 / k; it
 is continued with a period of 8/3 widths, smooth and even about the seam (as along x), so that it is exact for all lags
 in the strip. Its transform is positive, but for the lowest frequencies, whose covariance goes on beyond the period.
-These keep their matrices: as many as it takes for negative power to be negligible.
+These keep their matrices: as many as it takes for negative power to be negligible. Both seams are smoother than those
+of narrow strips, as the power of waves between the diffraction rings of the beam is nearly 0.
 """
 
 from dataclasses import replace
@@ -13,7 +14,7 @@ from math import ceil
 import numpy as np
 
 from surveysim.atmosphere import strip_factors as factors
-from surveysim.atmosphere.strip_factors import Strip
+from surveysim.atmosphere.strip_factors import Seam, Strip
 from surveysim.atmosphere.thin_screen import LAG_MAX, Screen, structure_function
 from surveysim.runtime.errors import OutOfRangeError
 
@@ -21,24 +22,26 @@ from surveysim.runtime.errors import OutOfRangeError
 _CLIPPED, _OMITTED = 0.5 * factors.CLIPPED_MAX, 1e-4
 # Most lanes, whose factors take some five seconds.
 _MOST_LANES = 2048
-# Operations for matrices that take a second, and the number of frequencies that may take longer.
-_MOST_WORK, _FEW = 3e9, 4
+# Operations for matrices that take a second, and the number of frequencies that may take longer, over that of the
+# periods along in one across.
+_MOST_WORK, _FEW = 3e9, 2.5
 
 
 def factorize_wide(screen: Screen, *, n_x: int, n_lane: int, step_rad: float, precision: str) -> Strip:
     """Build a strip of a given size, whatever its clipped fraction; raises ValueError for one too large to hold."""
     from scipy.fft import dct
+    from scipy.special import betainc
 
     check_wide(n_x, n_lane, step_rad, screen)
-    n_y = _period(n_lane)
-    ramp_variance, density = factors.lane_spectra(screen, n_x, n_y // 2 + 1, step_rad)
+    n_y, seam = _period(n_lane), Seam(5, lambda place: betainc(8, 8, place))
+    ramp_variance, density = factors.lane_spectra(screen, n_x, n_y // 2 + 1, step_rad, seam)
     used = factors.used_modes(screen, density[:, :n_lane], n_x, step_rad, _OMITTED)
-    across = dct(factors.smooth_seam(density[:used].T).T, type=1, axis=1)
+    across = dct(factors.smooth_seam(density[:used].T, seam).T, type=1, axis=1)
     total = 2.0 * float(structure_function(screen, step_rad))
     share = _shares(across, n_x, n_y) / total
     # The spectrum is isotropic: it ends across where it ends along.
     n_half = min(n_y // 2 + 1, ceil(used * n_y / n_x) + 1)
-    n_dense = min(_dense_frequencies(share, n_half), max(_FEW, int(_MOST_WORK / n_lane**3)))
+    n_dense = min(_dense_frequencies(share, n_half), int(max(_FEW * max(n_x / n_y, 2), _MOST_WORK / n_lane**3)))
     dense = factors.dense_strip(
         screen, density[:, :n_lane], n_x=n_x, step_rad=step_rad, used=n_dense, precision=precision
     )

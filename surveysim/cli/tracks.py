@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from surveysim.cli.options import Overrides, SceneFile, at_least, bands_of, fail, ready_setup, sweep_of
+from surveysim.cli.options import Overrides, SceneFile, at_least, bands_of, fail, ready_setup
 from surveysim.runtime.numbers import plural
 from surveysim.runtime.printable import say
 
@@ -25,8 +25,10 @@ def track(
     with pattern = "track" in [scan] reads it back.
     """
     from surveysim.api import track as write_track
+    from surveysim.studies.sweep.axes import is_sweep
+    from surveysim.studies.sweep.bands import is_band_sweep
 
-    if sweep_of(scene, settings):
+    if is_sweep(scene) or is_band_sweep(scene):
         fail(f"{scene}: sweep: found a sweep; a scene without [sweep] is expected")
     scenes = bands_of(scene, settings)  # all bands have the same track
     one = next(iter(scenes.bands.values())) if scenes else ready_setup(scene, settings).scene

@@ -124,7 +124,7 @@ def compared_ell(scene: Scene) -> tuple[float, float]:
     """
     width = scene.instrument.beam_fwhm_rad / np.sqrt(8 * np.log(2))
     beam = np.sqrt(-np.log(_BEAM_LEFT)) / width
-    samples = np.pi * scene.scan.sample_rate_hz / scene.scan.speed_rad_s
+    samples = np.pi * scene.scan.sample_rate_hz / scene.scan.fastest_rad_s
     return _RESOLUTIONS * resolution_ell(scene), float(min(beam, _PIXEL_REACH * np.pi / scene.map.pixel_rad, samples))
 
 

@@ -12,8 +12,9 @@ from mapmaker.uncertainty import FEWEST, draws
 from surveysim.atmosphere.weather import survey_pwv_quantile
 from surveysim.reduction.setup import Setup
 from surveysim.scene.detector_table import KEY
-from surveysim.scene.scan_patterns import RasterScan
 from surveysim.telescope.optics import scene_chain
+from surveysim.telescope.patterns.figures import Figure, covered_width
+from surveysim.telescope.patterns.raster import Raster
 from surveysim.timestreams.expected_losses import sampled_share
 from surveysim.timestreams.observed_block import observation_levels
 from surveysim.timestreams.simulation import camera_white
@@ -62,17 +63,26 @@ def _pixels(setup: Setup) -> str:
 
 
 def _coverage(setup: Setup) -> str:
-    """Compare the scored patch with the area that rasters along both axes, widened by the array, have in common."""
-    score, scan = setup.scene.score, setup.scene.scan
-    if score is None or not isinstance(scan, RasterScan):
+    """Compare the scored patch with the area that the pattern, widened by the array, covers.
+
+    That of rasters is what those along both axes have in common.
+    """
+    score, scans = setup.scene.score, setup.observing.scans
+    if isinstance(scans, Raster):
+        along, across = scans.speed_rad_s * setup.scene.scan.duration_s, (scans.n_scans - 1) * scans.step_rad
+        width, covers = min(along, across), "scans in both directions cover"
+        size = f"{_arcmin(along)} long, {_arcmin(across)} across"
+    elif isinstance(scans, Figure):
+        width, covers = covered_width(scans), f"the {setup.observing.pattern.name} covers"
+        size = _arcmin(width)
+    else:
         return ""
-    along, across = scan.speed_rad_s * scan.duration_s, (scan.scans - 1) * scan.step_rad
-    covered = min(along, across) + 2 * setup.camera.radius_rad + scan.dither_rad
-    if score.size_rad <= covered * (1 + 1e-9):
+    covered = width + 2 * setup.camera.radius_rad + scans.dither_rad
+    if score is None or score.size_rad <= covered * (1 + 1e-9):
         return ""
     return (
-        f"score.size: the scored patch of {_arcmin(score.size_rad)} is larger than the {_arcmin(covered)} that scans in"
-        f" both directions cover ({_arcmin(along)} long, {_arcmin(across)} across, and the array)."
+        f"score.size: the scored patch of {_arcmin(score.size_rad)} is larger than the {_arcmin(covered)} that {covers}"
+        f" ({size}, and the array)."
     )
 
 

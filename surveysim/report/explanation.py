@@ -14,12 +14,12 @@ _ENTRY = ("value", "error", "difference", "difference_error", "verdict")
 def entry_table(content: Content) -> Table:
     """Return a row for each finding and ingredient, for files."""
     rows = [
-        (finding["name"], finding["title"], item["name"], _known(finding["paper"]), _known(finding["paper_error"]))
+        (finding["name"], finding["title"], item["name"], *finding["paper"], _known(finding["paper_error"]))
         + tuple(_known(entry[name]) for name in _ENTRY)
         for finding in content["findings"]
         for item, entry in zip(content["ingredients"], finding["entries"], strict=True)
     ]
-    names = ("finding", "title", "ingredient", "paper", "paper_error", *_ENTRY)
+    names = ("finding", "title", "ingredient", "paper_low", "paper_high", "paper_error", *_ENTRY)
     columns = tuple(
         file_column(name, list(values)) for name, values in zip(names, zip(*rows, strict=True), strict=True)
     )
@@ -88,11 +88,15 @@ def _titles(content: Content) -> Column:
 
 
 def _paper(content: Content) -> Column:
-    pairs = [(_known(item["paper"]), _known(item["paper_error"])) for item in content["findings"]]
-    cells = tuple(
-        "" if value != value else with_error(value, error) if error == error else short(value) for value, error in pairs
-    )
-    return Column("paper", [value for value, _ in pairs], heading="paper", cells=cells)
+    cells = tuple(_published(item["paper"], _known(item["paper_error"])) for item in content["findings"])
+    return Column("paper", cells, heading="paper", cells=cells)
+
+
+def _published(ends: tuple[float, float], error: float) -> str:
+    low, high = ends
+    if low < high:
+        return f"{short(low)} to {short(high)}"
+    return with_error(low, error) if error == error else short(low)
 
 
 def _values(content: Content, place: int) -> Column:

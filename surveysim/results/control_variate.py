@@ -137,6 +137,7 @@ def _sigma(setup: Setup, model: NoiseModel, psd: np.ndarray) -> float:
 def _control(setup: Setup, expected: Expectation, noise: np.ndarray) -> Control:
     of_sample = _psd(setup, noise)
     factor = np.divide(expected.psd, of_sample, out=np.ones_like(of_sample), where=of_sample > 0)
-    bound = setup.air.dated.variance_factor if setup.air.dated else 1.0
-    sampling = expected.variation * np.sqrt(bound / len(noise))
+    dated, with_water = setup.air.dated, setup.air.water is not None
+    factor_of_mean = 1.0 if dated is None else dated.sampling_factor(with_water=with_water)
+    sampling = expected.variation * np.sqrt(factor_of_mean / len(noise))
     return Control(factor, expected_weights(setup.analysis, noise), noise, float(sampling), expected.error)

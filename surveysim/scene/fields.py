@@ -267,6 +267,8 @@ ShareOrTable = Annotated[
 ]
 Speed = Annotated[float, *quantity("rad / s", "arcmin / s", at_least="0.001 arcsec / s", at_most="360 deg / s")]
 SpeedExtent = Annotated[float, *quantity("rad / s", "arcmin / s", at_least=0, at_most="360 deg / s")]
+Acceleration = Annotated[float, *quantity("rad / s2", "deg / s2", at_least="0.001 arcsec / s2", at_most="360 deg / s2")]
+Jerk = Annotated[float, *quantity("rad / s3", "deg / s3", at_least="0.001 arcsec / s3", at_most="3600 deg / s3")]
 Duration = Annotated[float, *quantity("s", at_least="1 us", at_most="10 day")]
 DurationExtent = Annotated[float, *quantity("s", at_least=0, at_most="10 day")]
 Height = Annotated[float, *quantity("m", at_least="-1 km", at_most="100 km")]

@@ -4,11 +4,8 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from surveysim.scene.fields import DurationExtent, PositiveAngle, Speed, quantity, whole
+from surveysim.scene.fields import Acceleration, DurationExtent, Jerk, PositiveAngle, Speed, whole
 from surveysim.scene.scan_section import MOST_SCANS, ScanSection
-
-Acceleration = Annotated[float, *quantity("rad / s2", "deg / s2", at_least="0.001 arcsec / s2", at_most="360 deg / s2")]
-Jerk = Annotated[float, *quantity("rad / s3", "deg / s3", at_least="0.001 arcsec / s3", at_most="3600 deg / s3")]
 
 
 class SweepScan(ScanSection):

@@ -19,7 +19,7 @@ class TrackScan(ScanSection):
 
     pattern: Literal["track"]
     """Pattern of the scans."""
-    file: TableFile
+    track_table: TableFile
     """Table of the boresight, ECSV or CSV: azimuth and elevation (`az`, `el`) or right ascension and declination (`ra`,
     `dec`) against `time` since the start of an observation or `mjd` (UTC). Dates of the table take the place of
     [schedule]'s."""
@@ -34,12 +34,12 @@ class TrackScan(ScanSection):
     @property
     def table(self) -> TrackTable:
         """Content of the file."""
-        return read_track(Path(self.file))
+        return read_track(Path(self.track_table))
 
     @property
     def needs_horizon(self) -> str:
         """Azimuths, and dates, need the place of the telescope."""
-        return "file: found az and el" if self.table.on_horizon else ""
+        return "track_table: found az and el" if self.table.on_horizon else ""
 
     @property
     def most_observations(self) -> int | None:
@@ -55,12 +55,12 @@ class TrackScan(ScanSection):
     @property
     def speed_rad_s(self) -> float:
         """Mean speed between rows."""
-        return track_speeds(Path(self.file))[0]
+        return track_speeds(Path(self.track_table))[0]
 
     @property
     def fastest_rad_s(self) -> float:
         """Largest speed between rows."""
-        return track_speeds(Path(self.file))[1]
+        return track_speeds(Path(self.track_table))[1]
 
     @property
     def _margin_s(self) -> float:
@@ -76,7 +76,7 @@ class TrackScan(ScanSection):
             raise ValueError(str(error).removeprefix("scan.")) from None
         if table.first_s() > self._margin_s + _SLACK / self.sample_rate_hz:
             raise ValueError(
-                f"file: found a track that begins {table.first_s():g} s after the start of an observation;"
+                f"track_table: found a track that begins {table.first_s():g} s after the start of an observation;"
                 f" {self._margin_s:g} s or less, the time of the first sample, is expected"
             )
         if not 1 <= self.scans <= MOST_SCANS:
@@ -85,5 +85,5 @@ class TrackScan(ScanSection):
                 f" {MOST_SCANS} times is expected"
             )
         if not self.fastest_rad_s:
-            raise ValueError("file: found a track that does not move; another is expected")
+            raise ValueError("track_table: found a track that does not move; another is expected")
         return self

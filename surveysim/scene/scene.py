@@ -148,7 +148,9 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
         if self.fixed_pointing and (found := self.scan.needs_horizon):
             raise ValueError(f"scan.{found} with [fixed_pointing]; a section [schedule] is expected in its place")
         if (most := self.scan.most_observations) is not None and self.observations > most:
-            raise ValueError(f"observations: found {self.observations}; {most} or fewer are expected, as in scan.file")
+            raise ValueError(
+                f"observations: found {self.observations}; {most} or fewer are expected, as in scan.track_table"
+            )
         if self.excess and len(self.excess.b2) > 1 and self.atmosphere is None:
             raise ValueError("excess.b2: found several values; without [atmosphere] one value is expected")
         if self.atmosphere and self.atmosphere.site and not self.instrument.band.width_hz:

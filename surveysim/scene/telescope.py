@@ -1,15 +1,9 @@
 """Section [telescope]: limits of the mount."""
 
-from typing import Annotated
-
 from pydantic import Field
 
-from surveysim.scene.fields import quantity
+from surveysim.scene.fields import Acceleration, Jerk, Speed
 from surveysim.scene.section import Section
-
-_Velocity = Annotated[float, *quantity("rad / s", "deg / s", above=0, at_most="360 deg / s")]
-_Acceleration = Annotated[float, *quantity("rad / s2", "deg / s2", above=0, at_most="36000 deg / s2")]
-_Jerk = Annotated[float, *quantity("rad / s3", "deg / s3", above=0, at_most="3600000 deg / s3")]
 
 
 class TelescopeSection(Section):
@@ -18,17 +12,17 @@ class TelescopeSection(Section):
     The azimuth is that of the axis: for the same speed on the sky it moves faster by 1 / cos(elevation).
     """
 
-    max_azimuth_velocity_rad_s: _Velocity | None = Field(alias="max_azimuth_velocity", default=None)
+    max_azimuth_velocity_rad_s: Speed | None = Field(alias="max_azimuth_velocity", default=None)
     """Largest velocity in azimuth."""
-    max_elevation_velocity_rad_s: _Velocity | None = Field(alias="max_elevation_velocity", default=None)
+    max_elevation_velocity_rad_s: Speed | None = Field(alias="max_elevation_velocity", default=None)
     """Largest velocity in elevation."""
-    max_azimuth_acceleration_rad_s2: _Acceleration | None = Field(alias="max_azimuth_acceleration", default=None)
+    max_azimuth_acceleration_rad_s2: Acceleration | None = Field(alias="max_azimuth_acceleration", default=None)
     """Largest acceleration in azimuth, also on average over a turnaround that is not simulated."""
-    max_elevation_acceleration_rad_s2: _Acceleration | None = Field(alias="max_elevation_acceleration", default=None)
+    max_elevation_acceleration_rad_s2: Acceleration | None = Field(alias="max_elevation_acceleration", default=None)
     """Largest acceleration in elevation, also on average over a turnaround that is not simulated."""
-    max_azimuth_jerk_rad_s3: _Jerk | None = Field(alias="max_azimuth_jerk", default=None)
+    max_azimuth_jerk_rad_s3: Jerk | None = Field(alias="max_azimuth_jerk", default=None)
     """Largest jerk in azimuth within scans."""
-    max_elevation_jerk_rad_s3: _Jerk | None = Field(alias="max_elevation_jerk", default=None)
+    max_elevation_jerk_rad_s3: Jerk | None = Field(alias="max_elevation_jerk", default=None)
     """Largest jerk in elevation within scans."""
 
     def limit(self, axis: str, order: int) -> float | None:

@@ -15,7 +15,7 @@ from surveysim.runtime.text_files import read_text
 from surveysim.scene.frequency_table import check_rows, column_numbers, ecsv_table
 from surveysim.scene.units import shown
 
-KEY = "scan.file"
+KEY = "scan.track_table"
 MAX_BYTES = 500_000_000  # some 5 million rows
 FEWEST_ROWS = 4  # of an observation, for a cubic through four of them
 DAY_S = 86400.0

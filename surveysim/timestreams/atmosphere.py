@@ -1,6 +1,6 @@
 """The atmosphere: layers that the wind moves through the beams."""
 
-from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,14 +11,14 @@ from surveysim.atmosphere.layers import Layer
 from surveysim.atmosphere.weather import Weather, slant_b2
 from surveysim.runtime.rng import RandomPurpose
 from surveysim.telescope.pointing import Pointing, sky_vector
-from surveysim.timestreams.curved_layer import add_curved_layer
+from surveysim.timestreams.curved_layer import curved_scans
 from surveysim.timestreams.layer_views import (
     AzElVector,
     LayerNumbers,
-    LayerView,
-    evolving_views,
+    LayerRealization,
+    LayerScans,
+    layer_realizations,
     layer_wind,
-    mean_azimuth,
     moved,
 )
 from surveysim.timestreams.observed_block import ObservedBlock
@@ -58,51 +58,48 @@ def add_layers(
     """
     b2 = slant_b2(setup.air.water, [weather], [pointing.scan_elevation_rad.mean()])[0]
     block = block or Block(0, 0, len(pointing.scan_elevation_rad))
+    scans_of = straight_scans if pointing.straight else curved_scans
     for layer in setup.air.layers:
         numbers = LayerNumbers(setup.scene.seed, observation, realization, layer.part)
-        of = LayerView(pointing, block, layer_wind(layer, weather, pointing, numbers), mean_azimuth(pointing))
-        if layer.section.decorrelation_time_s is None:
-            _add_realization(layer, setup, of, b2=b2 * layer.b2_factor, numbers=numbers, data=data)
-        for number, view in evolving_views(layer, of, numbers):
-            part = replace(numbers, part=f"{layer.part} realization {number}")
-            _add_realization(layer, setup, view, b2=b2 * layer.b2_factor, numbers=part, data=data)
+        wind = layer_wind(layer, weather, pointing, numbers)
+        of = scans_of(layer, setup, pointing, wind, b2=b2 * layer.b2_factor)
+        for item in layer_realizations(layer, pointing, block, numbers):
+            add_realization(data, of, item, block)
 
 
-def _add_realization(
-    layer: Layer, setup: Simulation, of: LayerView, *, b2: float, numbers: LayerNumbers, data: np.ndarray
-) -> None:
-    """Add one realization of a layer of some amplitude B2 to the streams of a block."""
-    add = _add_straight if of.pointing.straight else add_curved_layer
-    add(layer, setup, of, b2=b2, numbers=numbers, data=data)
-
-
-def _add_straight(
-    layer: Layer, setup: Simulation, of: LayerView, *, b2: float, numbers: LayerNumbers, data: np.ndarray
-) -> None:
-    """Add one realization of a layer to the streams of a block of straight scans."""
+def add_realization(data: np.ndarray, of: LayerScans, item: LayerRealization, block: Block) -> None:
+    """Add one realization of a layer to the streams of a block."""
     from surveysim.atmosphere.scan_trends import draw_trends
+
+    drawn = slice(item.begin, item.stop)
+    trends = draw_trends(of.points.scans(item.first, item.end), item.numbers.deviates(RandomPurpose.TREND))
+    amplitude, mixed = of.amplitude_mk[drawn], item.weight is not None
+    of.add(
+        data,
+        of.bounds[drawn] - of.bounds[block.first, 0],
+        tracks=of.tracks.scans(item.begin, item.stop),
+        amplitude_mk=amplitude.reshape(len(amplitude), -1) * item.weight if mixed else amplitude,
+        deviates=item.numbers.deviates(RandomPurpose.ATMOSPHERE, block.number),
+        trends=trends.scans(item.begin - item.first, item.stop - item.first),
+        mean_removed=mixed,
+    )
+
+
+def straight_scans(
+    layer: Layer, setup: Simulation, pointing: Pointing, wind_rad_s: AzElVector, *, b2: float
+) -> LayerScans:
+    """Place straight scans over a layer of some amplitude B2."""
     from surveysim.atmosphere.screen_simulation import add_along_tracks, scan_tracks
 
-    pointing, block = of.pointing, of.block
     sine = np.sin(pointing.scan_elevation_rad)
     strips = layer.strips.at(float(sine.min()))
     bounds, rate = scan_bounds(pointing.scan), setup.observing.scans.sample_rate_hz
-    motion = _layer_motion(setup, pointing, of.wind_rad_s)
+    motion = _layer_motion(setup, pointing, wind_rad_s)
     tracks = scan_tracks(bounds, sample_rate_hz=rate, **motion, strips=strips)
     points = _strip_points(pointing, bounds, motion["layer_velocity_rad_s"], tracks=tracks, strips=strips)
-    trends = draw_trends(points, numbers.deviates(RandomPurpose.TREND))
+    add = partial(add_along_tracks, sample_rate_hz=rate, strips=strips)
     # Equation 2 of the paper, P = B2 sin(el)^(1 - b) alpha^-b, in angles over sin(el).
-    amplitude = np.sqrt(b2 / sine[block.first : block.end])
-    add_along_tracks(
-        data,
-        bounds[block.first : block.end] - bounds[block.first, 0] + of.start,
-        sample_rate_hz=rate,
-        tracks=tracks.scans(block.first, block.end),
-        amplitude_mk=amplitude if of.weight is None else amplitude[:, None] * of.weight,
-        strips=strips,
-        deviates=numbers.deviates(RandomPurpose.ATMOSPHERE, block.number),
-        trends=trends.scans(block.first, block.end),
-    )
+    return LayerScans(bounds, tracks, points, np.sqrt(b2 / sine), add)
 
 
 def _layer_motion(setup: Simulation, pointing: Pointing, wind_rad_s: AzElVector) -> dict[str, Any]:

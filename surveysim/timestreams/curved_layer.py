@@ -1,29 +1,30 @@
 """A layer of the atmosphere in scans whose tracks are curved."""
 
+from functools import partial
+
 import numpy as np
 
 from mapmaker.geometry import sky_offsets
 from mapmaker.timestreams import scan_bounds
 from surveysim.atmosphere.curved_tracks import add_along_curves, curved_tracks, horizon_vector, layer_positions
 from surveysim.atmosphere.layers import Layer
-from surveysim.runtime.rng import RandomPurpose
 from surveysim.telescope.pointing import Pointing
-from surveysim.timestreams.layer_views import LayerNumbers, LayerView, moved
+from surveysim.timestreams.layer_views import AzElVector, LayerScans, mean_azimuth, moved
 from surveysim.timestreams.simulation import Simulation
 
 
-def add_curved_layer(
-    layer: Layer, setup: Simulation, of: LayerView, *, b2: float, numbers: LayerNumbers, data: np.ndarray
-) -> None:
-    """Add one realization of a layer of some amplitude B2 to the streams (n_det, n_samp) [mK] of a block, in place."""
-    from surveysim.atmosphere.scan_trends import draw_trends, strip_points
+def curved_scans(
+    layer: Layer, setup: Simulation, pointing: Pointing, wind_rad_s: AzElVector, *, b2: float
+) -> LayerScans:
+    """Place scans with curved tracks over a layer of some amplitude B2."""
+    from surveysim.atmosphere.scan_trends import strip_points
 
-    pointing, block, bounds = of.pointing, of.block, scan_bounds(of.pointing.scan)
+    bounds = scan_bounds(pointing.scan)
     azimuth, elevation, time_s = (
         values.reshape(len(bounds), -1) for values in (pointing.azimuth_rad, pointing.elevation_rad, pointing.time_s)
     )
     centre = elevation.mean(axis=1)
-    velocity = horizon_vector(of.wind_azimuth_rad, *of.wind_rad_s) / np.sin(centre)[:, None]
+    velocity = horizon_vector(mean_azimuth(pointing), *wind_rad_s) / np.sin(centre)[:, None]
     tracks = curved_tracks(
         azimuth_rad=azimuth,
         elevation_rad=elevation,
@@ -36,19 +37,8 @@ def add_curved_layer(
     start = layer_positions(azimuth[:, 0], elevation[:, 0], centre)
     corner = start - moved(velocity, time_s[:, [0, -1]].mean(axis=1), time_s[:, 0]) + tracks.corner_rad(strips)
     points = strip_points(strips, corner, tracks.direction, tracks.length_rad)
-    trends = draw_trends(points, numbers.deviates(RandomPurpose.TREND))
-    amplitude = np.sqrt(b2 / np.sin(elevation[block.first : block.end]))
-    add_along_curves(
-        data,
-        bounds[block.first : block.end] - bounds[block.first, 0] + of.start,
-        tracks=tracks.scans(block.first, block.end),
-        offsets_rad=_horizon_offsets(setup, pointing),
-        amplitude_mk=amplitude if of.weight is None else amplitude * of.weight,
-        strips=strips,
-        deviates=numbers.deviates(RandomPurpose.ATMOSPHERE, block.number),
-        trends=trends.scans(block.first, block.end),
-        mean_removed=of.weight is not None,
-    )
+    add = partial(add_along_curves, offsets_rad=_horizon_offsets(setup, pointing), strips=strips)
+    return LayerScans(bounds, tracks, points, np.sqrt(b2 / np.sin(elevation)), add)
 
 
 def _horizon_offsets(setup: Simulation, pointing: Pointing) -> np.ndarray:

@@ -1,8 +1,9 @@
-"""Winds and realizations of a layer in the scans of an observation."""
+"""Winds, tracks and realizations of a layer in the scans of an observation."""
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +15,11 @@ from surveysim.runtime.rng import NormalDeviates, RandomPurpose, generator, norm
 from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.smooth_process import smooth_process
 from surveysim.timestreams.scan_blocks import Block
+
+if TYPE_CHECKING:
+    from surveysim.atmosphere.curved_tracks import CurvedTracks
+    from surveysim.atmosphere.scan_trends import StripPoints
+    from surveysim.atmosphere.screen_simulation import Tracks
 
 # Components along azimuth (on the sky) and elevation, of all scans or (n_scan,) of each.
 AzElVector = tuple[float, float] | tuple[np.ndarray, np.ndarray]
@@ -42,30 +48,51 @@ class LayerNumbers:
 
 
 @dataclass(frozen=True)
-class LayerView:
-    """Scans of an observation that see one realization of a layer.
+class LayerScans:
+    """All scans of an observation over a layer.
 
     Attributes
     ----------
-    pointing
-        Pointing of the scans, which share the trends of the layer.
-    block
-        Those of them that are drawn.
-    wind_rad_s
-        Angular velocity of the layer.
-    wind_azimuth_rad
-        Azimuth of the frame of the velocity, for scans over a wide range of azimuths.
-    start
-        First sample of the scans that are drawn, in the streams of the block of the observation.
-    weight : (n_scan, n)
-        Weights of the realization in the samples of the scans that are drawn; None for a frozen layer.
+    bounds : (n_scan, 2)
+        First sample and end of each scan.
+    tracks
+        Tracks of the scans over the layer.
+    points
+        Points that define the trends of the scans.
+    amplitude_mk : (n_scan,) or (n_scan, n)
+        Amplitude of each scan or sample.
+    add
+        Function that adds a realization to streams along some tracks.
     """
 
-    pointing: Pointing
-    block: Block
-    wind_rad_s: AzElVector
-    wind_azimuth_rad: float
-    start: int = 0
+    bounds: np.ndarray
+    tracks: "Tracks | CurvedTracks"
+    points: "StripPoints"
+    amplitude_mk: np.ndarray
+    add: Callable[..., None]
+
+
+@dataclass(frozen=True)
+class LayerRealization:
+    """One realization of a layer in time.
+
+    Attributes
+    ----------
+    numbers
+        Its random numbers.
+    first, end
+        Scans of the observation that see it, and share its trends.
+    begin, stop
+        Those of them that are in the block that is drawn.
+    weight : (n_scan, n)
+        Weights in the samples of these; None for a frozen layer.
+    """
+
+    numbers: LayerNumbers
+    first: int
+    end: int
+    begin: int
+    stop: int
     weight: np.ndarray | None = None
 
 
@@ -83,32 +110,24 @@ def layer_wind(layer: Layer, weather: Weather, pointing: Pointing, numbers: Laye
     return speeds * np.cos(angles), speeds * np.sin(angles)
 
 
-def evolving_views(layer: Layer, of: LayerView, numbers: LayerNumbers) -> Iterator[tuple[int, LayerView]]:
-    """Yield number and view of each realization of a layer that evolves; none of a frozen one.
+def layer_realizations(
+    layer: Layer, pointing: Pointing, block: Block, numbers: LayerNumbers
+) -> Iterator[LayerRealization]:
+    """Yield the realizations of a layer in a block: one of a frozen layer.
 
-    The scans of a realization follow from the observation, whatever its blocks.
+    Their scans follow from the observation, whatever its blocks.
     """
-    seconds = layer.section.decorrelation_time_s
+    bounds, time_s, seconds = scan_bounds(pointing.scan), pointing.time_s, layer.section.decorrelation_time_s
     if seconds is None:
+        yield LayerRealization(numbers, 0, len(bounds), block.first, block.end)
         return
-    bounds, time_s = scan_bounds(of.pointing.scan), of.pointing.time_s
     evolution = Evolution(seconds, numbers.share(RandomPurpose.EVOLUTION))
     for number, first, end in evolution.realizations(time_s[bounds[:, 0]], time_s[bounds[:, 1] - 1]):
-        begin, stop = max(first, of.block.first), min(end, of.block.end)
+        begin, stop = max(first, block.first), min(end, block.end)
         if begin < stop:
-            samples = slice(bounds[begin, 0], bounds[stop - 1, 1])
-            weight = evolution.weight(number, time_s[samples]).reshape(stop - begin, -1)
-            block = Block(of.block.number, begin - first, stop - first)
-            wind = _of_scans(of.wind_rad_s, first, end)
-            start = int(samples.start - bounds[of.block.first, 0])
-            yield number, LayerView(of.pointing.scans(first, end), block, wind, of.wind_azimuth_rad, start, weight)
-
-
-def _of_scans(wind_rad_s: AzElVector, first: int, end: int) -> AzElVector:
-    azimuth, elevation = wind_rad_s
-    if isinstance(azimuth, np.ndarray) and isinstance(elevation, np.ndarray):
-        return azimuth[first:end], elevation[first:end]
-    return wind_rad_s
+            times = time_s[bounds[begin, 0] : bounds[stop - 1, 1]].reshape(stop - begin, -1)
+            own = replace(numbers, part=f"{layer.part} realization {number}")
+            yield LayerRealization(own, first, end, begin, stop, evolution.weight(number, times))
 
 
 def mean_azimuth(pointing: Pointing) -> float:

@@ -275,8 +275,9 @@ def _given_schedule(scene: Scene, start_mjd: np.ndarray, mid_time_s: np.ndarray)
     wrong = np.flatnonzero(lowest < scene.schedule.min_elevation_rad)
     if len(wrong):
         raise SceneError(
-            f"scan.file: found the field at {np.degrees(lowest[wrong[0]]):.1f} deg elevation in observation {wrong[0]};"
-            f" schedule.min_elevation, {np.degrees(scene.schedule.min_elevation_rad):g} deg, or more is expected"
+            f"scan.track_table: found the field at {np.degrees(lowest[wrong[0]]):.1f} deg elevation in observation"
+            f" {wrong[0]}; schedule.min_elevation, {np.degrees(scene.schedule.min_elevation_rad):g} deg, or more is"
+            " expected"
         )
     return given
 

@@ -12,6 +12,13 @@ from surveysim.timestreams.observation import draw_observation
 from tests.cameras import LAYER_BANDS, TWO_BANDS, write_camera
 from tests.scenes import without_sections
 
+LAYERS = {
+    "atmosphere.layers": [
+        {"name": "low", "height": "600 m", "share": 0.6, "decorrelation_time": "9 s"},
+        {"name": "high", "height": "2 km", "share": 0.4, "wind_turn": "120 deg"},
+    ],
+    "atmosphere.wind_drift": {"speed_rms": 0.2, "direction_rms": "10 deg", "time_scale": "1 min"},
+}
 EXACT = {"numerics.precision": "float64", "instrument.responsivity_scatter": 0}
 
 
@@ -34,10 +41,10 @@ def layer_b2(streams, frequency_hz):
 
 
 @pytest.mark.parametrize("observation", [0, 3])
-@pytest.mark.parametrize("blocks", ["250 MB", "9 kB"])
-def test_detectors_at_one_position_see_one_layer(drawn, observation, blocks):
+@pytest.mark.parametrize(("blocks", "layers"), [("250 MB", {}), ("9 kB", {}), ("9 kB", LAYERS)])
+def test_detectors_at_one_position_see_one_layer(drawn, observation, blocks, layers):
     """Bands of 18 and 6 detectors: the inner ring is at the same positions, and the amplitudes have one ratio."""
-    found = drawn(LAYER_BANDS, observation, **EXACT, **{"numerics.max_block_memory": blocks})
+    found = drawn(LAYER_BANDS, observation, **EXACT, **{"numerics.max_block_memory": blocks}, **layers)
     wide, narrow = found["150"], found["220"]
     places = [np.stack([item.focal_plane.x_rad, item.focal_plane.y_rad], axis=-1) for item in (wide, narrow)]
     same = [int(np.argmin(np.hypot(*(places[0] - place).T))) for place in places[1]]

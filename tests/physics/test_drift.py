@@ -1,6 +1,7 @@
 """Weather that drifts through a survey: its correlation, its distributions, and the errors that follow from it."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +13,11 @@ from surveysim.atmosphere.weather import survey_weather
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
+from surveysim.survey.error_modes import error_modes
 from surveysim.timestreams.observed_block import observation_weather
+from tests.physics.test_sweep import toy_item
 from tests.scenes import SCHEDULE, SMALL_SCENE, without_sections, write_scene
+from tests.toys import N_MODES
 
 TAU_S = 7200.0
 N_NIGHTS = 4000
@@ -131,6 +135,21 @@ def test_errors_from_blocks_are_those_of_drifting_weather():
     alone = [ratio_error(item, np.ones(320)) for item in information]
     bound = math.sqrt(variance_factor(starts, 4 * 3600))
     assert np.mean(alone) < 0.6 * scatter < np.mean(alone) * bound
+
+
+def test_paired_errors_are_of_the_blocks_of_both_surveys():
+    """Rows are sums over blocks that are independent in each survey; one is longer than the other."""
+    rng = np.random.default_rng(4)
+    weights, flips = np.exp(rng.normal(size=48)), rng.normal(size=(8, N_MODES.sum() // 2, 2)) @ [1, 1j]
+    whole = replace(toy_item(flips, weights), block=np.repeat(np.arange(24), 2))
+    part = replace(toy_item(flips, weights[:24]), block=np.repeat(np.arange(6), 4))
+    common = np.concatenate([np.repeat(np.arange(6), 4), np.repeat(np.arange(6, 18), 2)])
+    rows = error_modes([whole, part], ("", ""))[:, 8:26]
+    for row, item in zip(rows, (whole, part), strict=True):
+        off = item.information - item.expected
+        expected = np.bincount(common[: len(off)], off, 18)
+        scale = item.budget.weather / np.linalg.norm(expected)
+        np.testing.assert_allclose(row, expected * scale, atol=1e-12)
 
 
 def test_few_blocks_tell_no_error():

@@ -110,6 +110,8 @@ def test_forecasts_are_over_the_observations_own_weather(made):
     draws = [draw for draws in population_draws(setup) for draw in draws]
     assert {number for number, _ in draws} == set(range(24))
     assert all(weather == own[number] for number, weather in draws)
+    assert setup.air.dated.sampling_factor(with_water=False) == 0
+    assert setup.air.dated.sampling_factor(with_water=True) == 1
 
 
 def test_distributions_may_be_left_out(made):

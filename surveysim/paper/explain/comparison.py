@@ -4,11 +4,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from surveysim.paper.explain.findings import Finding, bootstrapped
 from surveysim.paper.explain.values import Values
 from surveysim.report.explanation import EXPLAINS, HELPS, WORSENS
 
 SIGMAS, SHARE = 2.0, 0.2  # agreement with the paper: within so many errors, or so large a part of its value
+CERTAIN, LEAST = 3.0, 0.1  # a change that counts: more than so many errors, and such a part of the gap to the paper
 NOTHING = ""  # no verdict
 
 
@@ -23,8 +26,9 @@ class Entry:
     difference, difference_error
         Its paired difference to one layer; 0 for one layer itself.
     verdict
-        "explains" for agreement with the paper that one layer lacks; "helps" and "worsens" for a significant change
-        towards the paper or away from it; "" otherwise and without a published value.
+        "explains" for agreement with the paper that one layer lacks; "helps" and "worsens" for a change, by more than
+        `CERTAIN` errors and `LEAST` of the gap, towards the paper or away from it; "" otherwise, and where both agree
+        with the paper.
     """
 
     value: float
@@ -41,7 +45,7 @@ def compared(finding: Finding, surveys: Sequence[Values]) -> list[Entry]:
     entries = []
     for samples in drawn:
         value, difference = float(samples[0]), float(samples[0] - base[0])
-        error, moved = float(samples[1:].std()), float((samples - base)[1:].std())
+        error, moved = float(np.nanstd(samples[1:])), float(np.nanstd((samples - base)[1:]))
         verdict = _verdict(finding, value, error, base=(float(base[0]), float(base[1:].std())), moved=moved)
         entries.append(Entry(value, error, difference, moved, verdict))
     return entries
@@ -50,13 +54,16 @@ def compared(finding: Finding, surveys: Sequence[Values]) -> list[Entry]:
 def agrees(finding: Finding, value: float, error: float) -> bool:
     """Return whether a value is within two errors, or a fifth, of the paper's."""
     known = [item for item in (error, finding.paper_error) if math.isfinite(item)]
-    return abs(value - finding.paper) <= max(SIGMAS * math.hypot(*known), SHARE * abs(finding.paper))
+    nearest = min(max(value, finding.paper[0]), finding.paper[1])
+    return finding.gap(value) <= max(SIGMAS * math.hypot(*known), SHARE * abs(nearest))
 
 
 def _verdict(finding: Finding, value: float, error: float, *, base: tuple[float, float], moved: float) -> str:
     """Judge a value; `base` is that of one layer with its error, `moved` the error of the difference."""
-    if not math.isfinite(finding.paper) or not abs(value - base[0]) > SIGMAS * moved:
+    change, gap = abs(value - base[0]), finding.gap(base[0])
+    before, after = agrees(finding, *base), agrees(finding, value, error)
+    if not (change > CERTAIN * moved and change > LEAST * gap) or (before and after):
         return NOTHING
-    if agrees(finding, value, error) and not agrees(finding, *base):
+    if after:
         return EXPLAINS
-    return HELPS if abs(value - finding.paper) < abs(base[0] - finding.paper) else WORSENS
+    return HELPS if finding.gap(value) < gap else WORSENS

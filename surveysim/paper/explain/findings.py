@@ -22,17 +22,23 @@ class Finding:
     ----------
     name, title
         Name in files, and for people.
-    paper, paper_error
-        Published value and its error; NaN for none.
+    paper
+        Lowest and highest value that the paper allows; equal for a number.
+    paper_error
+        Published error; NaN for none.
     statistic
         Value of a survey.
     """
 
     name: str
     title: str
-    paper: float
+    paper: tuple[float, float]
     paper_error: float
     statistic: Callable[[Values], float]
+
+    def gap(self, value: float) -> float:
+        """Return the distance of a value from the paper's."""
+        return max(self.paper[0] - value, value - self.paper[1], 0.0)
 
 
 def findings() -> tuple[Finding, ...]:
@@ -40,51 +46,42 @@ def findings() -> tuple[Finding, ...]:
     index, cleaning = published()["fitted_index"], published()["cleaning"]
     half, count = published()["share_of_good_winds"], index["observations"]
     slope, slope_error = paper_slope()
-    ratio = cleaning["higher_order_template_psd_ratio"]
-    raw = published()["table2"]["raw_atmosphere"][-1], published()["table2"]["raw_atmosphere_error"][-1]
-    change = published()["b2_change_over_heights"]
+    raw, raw_error = (published()["table2"][name][-1] for name in ("raw_atmosphere", "raw_atmosphere_error"))
     removed = cleaning["point_source_flux_removed"]
+    ratio, change = 2 * (cleaning["higher_order_template_psd_ratio"],), 2 * (published()["b2_change_over_heights"],)
+    least, most = cleaning["modes_removed_by_pca"]
+    better, poorer = partial(of_half, trusted, 0), partial(of_half, trusted, 1)
     return (
-        Finding("winds_trusted", "winds trusted", half, UNKNOWN, trusted),
-        Finding(
-            "winds_trusted_better", "winds trusted, better half of B2", UNKNOWN, UNKNOWN, partial(of_half, trusted, 0)
-        ),
-        Finding(
-            "winds_trusted_poorer", "winds trusted, poorer half of B2", UNKNOWN, UNKNOWN, partial(of_half, trusted, 1)
-        ),
-        Finding("index_mean", "index b, mean", index["mean"], index["std"] / count**0.5, _mean("fitted_index")),
-        Finding(
-            "index_std", "index b, standard deviation", index["std"], index["std"] / (2 * count) ** 0.5, _index_std
-        ),
-        Finding("raw_exponent", "raw noise against B2, exponent", slope, slope_error, _raw_exponent),
-        Finding("raw_median", "raw noise, median [mK2]", *raw, _median("raw_mk2")),
-        Finding(
-            "templates_low", "higher templates / zeroth, below 0.5 Hz", ratio, UNKNOWN, _median("template_ratio_low")
-        ),
-        Finding(
-            "templates_all", "higher templates / zeroth, all frequencies", ratio, UNKNOWN, _median("template_ratio_all")
-        ),
-        Finding("pca_best", "PCA best for a CMB spectrum", 0.0, UNKNOWN, partial(_best, "cmb", "pca")),
-        Finding(
-            "pca_modes",
-            "modes removed by PCA",
-            float(np.mean(cleaning["modes_removed_by_pca"])),
-            UNKNOWN,
-            _mean("pca_modes"),
-        ),
-        Finding("height_change", "B2 change with assumed height, half range", change, UNKNOWN, _height_change),
-        Finding(
-            "height_change_limited",
-            "the same, from model maps of 465 arcmin",
-            change,
-            UNKNOWN,
-            _limited_height_change,
-        ),
+        _share("winds_trusted", "winds trusted [%]", (half, half), trusted),
+        _share("winds_trusted_better", "winds trusted, better half of B2 [%]", (half, 1.0), better),
+        _share("winds_trusted_poorer", "winds trusted, poorer half of B2 [%]", (0.0, half), poorer),
+        _number("index_mean", "index b, mean", index["mean"], _mean("fitted_index"), index["std"] / count**0.5),
+        _number("index_std", "index b, scatter", index["std"], _index_std, index["std"] / (2 * count) ** 0.5),
+        _number("raw_exponent", "raw noise against B2, exponent", slope, _raw_exponent, slope_error),
+        _number("raw_median", "raw noise, median [mK2]", raw, _median("raw_mk2"), raw_error),
+        _share("templates_low", "higher over zeroth templates, to 0.5 Hz [%]", ratio, _median("template_ratio_low")),
+        _share("templates_all", "higher over zeroth templates, to 5 Hz [%]", ratio, _median("template_ratio_all")),
+        _share("pca_best", "PCA best for a CMB spectrum [%]", (0.0, 0.0), partial(_best, "cmb", "pca")),
+        Finding("pca_modes", "modes removed by PCA", (least, most), UNKNOWN, _mean("pca_modes")),
+        _share("height_change", "B2 change with assumed height [%]", change, _height_change),
+        _share("height_change_limited", "the same, model maps of 465 arcmin [%]", change, _limited_height_change),
         *(
-            Finding(f"flux_{name}", f"flux removed, {name}", removed[name], UNKNOWN, _mean(f"flux_removed_{name}"))
-            for name in CLEANINGS
+            _share(f"flux_{x}", f"flux removed, {x} [%]", 2 * (removed[x],), _mean(f"flux_removed_{x}"))
+            for x in CLEANINGS
         ),
     )
+
+
+def _number(
+    name: str, title: str, paper: float, statistic: Callable[[Values], float], paper_error: float = UNKNOWN
+) -> Finding:
+    return Finding(name, title, (paper, paper), paper_error, statistic)
+
+
+def _share(name: str, title: str, paper: tuple[float, float], statistic: Callable[[Values], float]) -> Finding:
+    """Finding in percent, of a fraction and its published range."""
+    low, high = paper
+    return Finding(name, title, (100 * low, 100 * high), UNKNOWN, lambda values: 100 * statistic(values))
 
 
 def bootstrapped(finding: Finding, values: Values) -> np.ndarray:
@@ -134,8 +131,10 @@ def _index_std(values: Values) -> float:
 
 
 def _raw_exponent(values: Values) -> float:
-    """Exponent of raw noise as a power of B2, as in `paper_slope`."""
+    """Exponent of raw noise as a power of B2, as in `paper_slope`; NaN where a quarter is empty."""
     groups = quarters(values["fitted_b2"])
+    if not np.all(np.any(groups, axis=1)):
+        return UNKNOWN
     b2, raw = (np.array([np.median(values[name][group]) for group in groups]) for name in ("fitted_b2", "raw_mk2"))
     away = np.log(b2) - np.log(b2).mean()
     return float(away @ np.log(np.maximum(raw, 1e-3)) / (away @ away))

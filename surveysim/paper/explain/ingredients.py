@@ -66,9 +66,9 @@ def ingredients() -> tuple[Ingredient, ...]:
     together: dict[str, Any] = {}
     for name in last["of"]:
         together |= alone[name].settings
-    origin = f"the ingredients {', '.join(alone[name].title for name in last['of'])}"
+    combination = Ingredient(last["name"], last["title"], last["origin"], together | last["settings"])
     first = Ingredient(ONE_LAYER, "one layer", "the scene as it is", {})
-    return (first, *alone.values(), Ingredient(last["name"], last["title"], origin, together))
+    return (first, *alone.values(), combination)
 
 
 def _without_empty(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -128,7 +128,7 @@ def _content(asked: Explained, surveys: list[Values], layers: list[dict[str, Any
             {
                 "name": finding.name,
                 "title": finding.title,
-                "paper": finding.paper,
+                "paper": list(finding.paper),
                 "paper_error": finding.paper_error,
                 "entries": [vars(entry) for entry in compared(finding, surveys)],
             }

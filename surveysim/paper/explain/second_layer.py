@@ -62,7 +62,9 @@ def trusted_rows(surveys: Mapping[tuple[float, float], Values]) -> list[dict[str
     for (turn, share), values in surveys.items():
         row = {"turn_deg": turn, "share": share}
         for half, name in enumerate(LOOKS):
-            samples = bootstrapped(Finding(name, name, UNKNOWN, UNKNOWN, partial(of_half, trusted, half)), values)
+            samples = bootstrapped(
+                Finding(name, name, (UNKNOWN, UNKNOWN), UNKNOWN, partial(of_half, trusted, half)), values
+            )
             row |= {name: float(samples[0]), f"{name}_error": float(samples[1:].std())}
         rows.append(row)
     return rows

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 from rich.text import Text
 
-from surveysim.report.explanation import difference_table, overview_table, second_layer_table
+from surveysim.report.explanation import overview_table, second_layer_table
 from surveysim.report.terminal.layout import Terminal
 from surveysim.report.terminal.survey import where_line
 from surveysim.report.terminal.tables import show_table
@@ -44,8 +44,8 @@ def _plain_table(made: "AstropyTable") -> Table:
 
 
 def print_explanation(content: Mapping[str, Any], directory: Path) -> None:
-    """Print the overview of an explanation, its differences, the winds with a second layer, and where the files are."""
-    console = Terminal(200)
-    for table in (overview_table(content), difference_table(content), second_layer_table(content)):
+    """Print the overview of an explanation, the winds with a second layer, and where the files are."""
+    console = Terminal(160)
+    for table in (overview_table(content), second_layer_table(content)):
         show_table(console, table)
     console.say(f"\n{where_line(directory)}")

@@ -1,7 +1,7 @@
 """Pong scans: diagonals that bounce within a box, with corners rounded by a Fourier series.
 
-The curvy pong of SCUBA-2 (Holland et al. 2013, MNRAS 430, 2513, section 4; Van Laerhoven and Scott, "The impact of
-scanning pattern strategies on uniform sky coverage of large maps", SCUBA-2 note SC2/ANA/S210/008). Vertices are
+The curvy pong of SCUBA-2 (Holland et al. 2013, MNRAS 430, 2513; "The impact of scanning pattern strategies on uniform
+sky coverage of large maps", SCUBA-2 note SC2/ANA/S210/008), as JCMT and FYST compute it. Vertices are
 sqrt(2) times the spacing apart on all sides; their numbers N_x and N_y are coprime and one of them is even, so that the
 track passes all of them before it closes, after N_x N_y 2 sqrt(2) spacings along each axis. Along an axis the boresight
 follows the first terms of a triangle wave of amplitude A = N sqrt(2) spacing / 2 and period T = 4 A sqrt(2) / velocity:
@@ -36,6 +36,10 @@ class Pong(Figure):
     def extent_rad(self) -> float:
         """Compute the extent of the box; rounded corners stay within it."""
         return self.box_extent_rad(*self.amplitudes_rad)
+
+    def half_width_rad(self) -> float:
+        """Return the smaller amplitude."""
+        return min(self.amplitudes_rad)
 
 
 def scene_pong(section: PongScan, centre: FieldCentre, site: Site | None) -> Pong:

@@ -89,8 +89,8 @@ def _rows(track: Track, observation: int, frame: HorizonFrame | None) -> np.ndar
     wrong = np.flatnonzero(np.isnan(offsets[0]))
     if len(wrong):
         raise SceneError(
-            f"scan.file: row {rows.start + wrong[0] + 1}: found a direction 90 deg or more from the centre of [field];"
-            " a track over the field is expected"
+            f"scan.track_table: row {rows.start + wrong[0] + 1}: found a direction 90 deg or more from the centre of"
+            " [field]; a track over the field is expected"
         )
     return offsets
 

@@ -24,6 +24,25 @@ def test_add_screen_is_bilinear(dtype, dx):
     np.testing.assert_allclose(data, expected, atol=3e-6)
 
 
+def test_add_weighted():
+    rng = np.random.default_rng(4)
+    data, values, weight = (
+        rng.random((3, 40)).astype(np.float32),
+        rng.random((3, 20)).astype(np.float32),
+        rng.random(20),
+    )
+    expected = data.astype(float)
+    naive.add_weighted(expected, 13, values, weight)
+    kernels.add_weighted(data, 13, values, weight)
+    np.testing.assert_allclose(data, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("start", "n_det", "n"), [(-1, 3, 20), (21, 3, 20), (0, 2, 20), (0, 3, 19)])
+def test_add_weighted_refuses_samples_outside(start, n_det, n):
+    with pytest.raises(IndexError):
+        kernels.add_weighted(np.zeros((3, 40)), start, np.zeros((n_det, 20)), np.zeros(n))
+
+
 def test_add_screen_at_the_edges():
     strip = np.arange(12, dtype=np.float32).reshape(3, 4)
     data = np.zeros((4, 4))

@@ -40,6 +40,10 @@ FILTER = {
 }
 NIGHTS = {f"schedule.{key}": value for key, value in tomllib.loads(SCHEDULE)["schedule"].items()}
 NIGHTS |= {"fixed_pointing": None, "observations": 48, "atmosphere.correlation_time": "2 h"}
+# Radial speeds of up to 6 arcmin times 2 pi over 10 s, 3.77 arcmin/s.
+DAISY = {f"scan.{key}": None for key in ("speed", "scans", "turnaround", "step")}
+DAISY |= {"scan.pattern": "daisy", "scan.radius": "6 arcmin", "scan.radial_period": "10 s"}
+DAISY |= {"scan.duration": "1 min", "scan.chunk": "10 s"}
 # The small scene: samples 24 arcsec apart, a beam of 60 and pixels of 30; scans of 24 arcmin, 9 arcmin across, a dither
 # of 2 arcmin, and an array of 2.67 arcmin.
 CASES = {
@@ -111,13 +115,27 @@ def path(tmp_path):
     return write_scene(tmp_path)
 
 
+MORE = {
+    "fastest": (
+        DAISY | {"scan.sample_rate": "7.5 Hz"},
+        DAISY | {"scan.sample_rate": "7.6 Hz"},
+        "scan.sample_rate: samples are 30.2 arcsec apart, more than half of the beam of 60 arcsec; a rate of 7.54 Hz",
+    ),
+    "daisy": (
+        DAISY | {"score.size": "16.7 arcmin"},
+        DAISY | {"score.size": "16.6 arcmin"},
+        "score.size: the scored patch of 16.7 arcmin is larger than the 16.7 arcmin that the daisy covers (12 arcmin,",
+    ),
+}
+
+
 def test_every_check_has_a_case():
     assert len(CASES) == len(CHECKS)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [*CASES, *MORE])
 def test_a_warning_beyond_a_limit(path, name):
-    beyond, within, words = CASES[name]
+    beyond, within, words = (CASES | MORE)[name]
     (line,) = design_warnings(prepare(load_scene(path, beyond)))
     assert line.startswith(words) and line.endswith(".") and "\n" not in line
     assert design_warnings(prepare(load_scene(path, within))) == []

@@ -1,6 +1,7 @@
 """Tables [bands.NAME]: merging, and refusals that name the key as the file gives it."""
 
 import pickle
+import tomllib
 
 import pytest
 
@@ -10,7 +11,7 @@ from surveysim.runtime.errors import SceneError
 from surveysim.scene.bands import bands_hash, common_key, load_bands
 from surveysim.scene.scene import load_scene, scene_hash, survey_hash
 from tests.cameras import TWO_BANDS, write_camera
-from tests.scenes import write_scene
+from tests.scenes import SCHEDULE, write_scene
 
 
 def refusal(path, overrides=None):
@@ -112,6 +113,20 @@ def test_refused(tmp_path, overrides, lines):
         )
     else:
         assert found == lines
+
+
+def test_a_table_of_weather_has_fluctuations_of_water(tmp_path):
+    header = "# %ECSV 1.0\n# ---\n# datatype:\n# - {name: time, datatype: float64}\n"
+    (tmp_path / "w.ecsv").write_text(
+        f"{header}# - {{name: b2, unit: mK2 rad(-5/3), datatype: float64}}\ntime b2\n53000 1\n54000 1\n"
+    )
+    dates = {f"schedule.{key}": value for key, value in tomllib.loads(SCHEDULE)["schedule"].items()}
+    keys = dates | {"fixed_pointing": None, "atmosphere.weather_table": "w.ecsv"}
+    found = refusal(write_camera(tmp_path), keys)
+    assert found == [
+        "atmosphere.weather_table: found a column b2 with [bands]; water_fluctuation is expected, as B2 differs between"
+        " bands"
+    ]
 
 
 def test_values_of_b2_of_each_band(tmp_path):

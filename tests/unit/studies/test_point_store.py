@@ -38,6 +38,14 @@ def test_round_trip(finished, tmp_path):
     assert not np.isnan(result.scores["actual"].band.sigma_ukcmb2)
 
 
+def test_blocks_of_observations_come_back(finished, tmp_path):
+    point, raw = finished
+    np.savez(tmp_path / "000.npz", **meta(*SETS, "block", value=[0, 0, 1, 1])(content_of(raw)))
+    result = load_point(tmp_path / "000.npz", point, 4)
+    assert result.scores["actual"].block.tolist() == [0, 0, 1, 1]
+    assert result.scores["white"].block is None
+
+
 def meta(*keys, value):
     """Change what the file says at some keys; `del` takes the last one away."""
 
@@ -103,6 +111,9 @@ FORGERIES = {
     "negative sigma": meta(*SETS, "band", "sigma_ukcmb2", value=-1.0),
     "a key less": meta(*SETS, "budget", "noise", value=del_),
     "a key more": meta(*SETS, "budget", "more", value=1.0),
+    "blocks of fewer observations": meta(*SETS, "block", value=[0, 0, 1]),
+    "blocks out of order": meta(*SETS, "block", value=[0, 1, 0, 1]),
+    "a block without observations": meta(*SETS, "block", value=[0, 0, 2, 2]),
     "detectors of another camera": meta("rest", "n_det", value=5),
     "more detectors than there are": meta(*SETS, "n_det", value=500),
     "no time": meta("rest", "wall_s", value=float("nan")),

@@ -23,7 +23,6 @@ from tests.scenes import SMALL_SCENE, write_scene
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes through /proc")
 
-KILLS = 2
 INTERRUPTED = 100  # observations of runs that are interrupted once twelve are written
 COMMAND = [sys.executable, "-c", "from surveysim.cli.main import main; main()"]
 FAST = [*COMMAND[:2], "import surveysim.survey.run as s; s.CHECKPOINT_SECONDS = 0.1; " + COMMAND[2]]
@@ -89,9 +88,9 @@ def long_scene(tmp_path, observations):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["processes", "dask"])
-def test_killed_worker(tmp_path, engine):
+def test_killed_worker(tmp_path, undisturbed, engine):
     """Its work is done again: the run ends as if nothing had been, with the same bits."""
-    path, out = long_scene(tmp_path, 100), tmp_path / "out"
+    path, out = long_scene(tmp_path, INTERRUPTED), tmp_path / "out"
     process = start(
         *("run", path, "--out", out, "--workers", 2, "--engine", engine, "--save-timestreams", "--no-figures", "-q")
     )
@@ -100,16 +99,14 @@ def test_killed_worker(tmp_path, engine):
     _, error = process.communicate(timeout=60)
     assert process.returncode == 0 and none_left(process.pid) and not list(out.rglob("*.part"))
     assert error == ("a worker process is gone; its work is done again\n" if engine == "processes" else "")
-    run_scene(load_scene(path), tmp_path / "whole", engine=SERIAL, figures=False)
-    assert_same_results(out, tmp_path / "whole")
+    assert_same_results(out, undisturbed)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ["processes", "dask"])
-def test_killed_parent(tmp_path, engine):
+def test_killed_parent(tmp_path):
     """No worker stays behind."""
     path, out = long_scene(tmp_path, 2000), tmp_path / "out"
-    process = start("run", path, "--out", out, "--workers", 2, "--engine", engine, "--save-timestreams", "-q")
+    process = start("run", path, "--out", out, "--workers", 2, "--save-timestreams", "-q")
     wait_for(out / "timestreams" / "0012.h5", process)
     process.kill()
     process.communicate(timeout=20)
@@ -117,21 +114,17 @@ def test_killed_parent(tmp_path, engine):
 
 
 @pytest.mark.slow
-def test_killed_at_random_and_resumed(tmp_path):
-    """Wherever a run on dask is killed, whether anything is kept by then or not: the same bits and files as whole.
+def test_killed_and_resumed(tmp_path):
+    """A run on dask is killed, before anything is kept and in its middle: the same bits and files as whole.
 
-    The other engines are killed by `tests/stress/test_kills.py`.
+    The other engines are killed by `tests/stress/test_kills.py`, at random.
     """
     path, out, whole = long_scene(tmp_path, 60), tmp_path / "out", tmp_path / "whole"
-    how = ("--engine", "dask", "--no-figures", "-q", "--save-timestreams")
-    begin = time.monotonic()
-    assert start("run", path, "--out", whole, *how, fast=True).wait(60) == 0
-    taken = time.monotonic() - begin
-    delays = np.random.default_rng(4).uniform(0.3 * taken, 1.1 * taken, KILLS)
-    for delay in delays:
+    how = ("--engine", "dask", "--workers", 1, "--no-figures", "-q", "--save-timestreams")
+    run_scene(load_scene(path), whole, engine=SERIAL, figures=False, save_timestreams=True)
+    for seen in (LOCK, "timestreams/0030.h5"):
         process = start("run", path, "--out", out, *how, fast=True)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(delay)
+        wait_for(out / seen, process)
         process.kill()
         process.communicate(timeout=20)
         assert none_left(process.pid)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surveysim.output.scene_copy import scene_files
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import InputError, SceneError
@@ -15,7 +16,7 @@ from tests.scenes import SCHEDULE, WHITE_NOISE_SCENE, with_scan, without_section
 
 TRACK = """\
 pattern = "track"
-file = "track.csv"
+track_table = "track.csv"
 chunk = "10 s"
 dither = "0 arcmin"
 sample_rate = "10 Hz"
@@ -127,20 +128,20 @@ def test_observations_of_a_table_follow_one_another(tmp_path):
     two = prepare(found.model_copy(update={"observations": 2}))
     paths = [observation_path(two.observing, number)[0] for number in (0, 1)]
     np.testing.assert_allclose(paths[1].eta_rad - paths[0].eta_rad, np.radians(shift), rtol=1e-4)
-    with pytest.raises(SceneError, match=r"observations: found 3; 2 or fewer are expected, as in scan.file"):
+    with pytest.raises(SceneError, match=r"observations: found 3; 2 or fewer are expected, as in scan.track_table"):
         load_scene(tmp_path / "scene.toml", {"observations": 3})
 
 
 def test_low_fields_and_azimuths_without_a_schedule_are_refused(tmp_path):
     time_s = np.arange(0, 60.1, 0.5)
     csv(tmp_path, "mjd [d], az [deg], el [deg]", MJD + time_s / 86400, 10 + time_s / 60, 60 + 0 * time_s)
-    with pytest.raises(SceneError, match=r"scan.file: found az and el with \[fixed_pointing\]; a section"):
+    with pytest.raises(SceneError, match=r"scan.track_table: found az and el with \[fixed_pointing\]; a section"):
         scene(tmp_path)
     low = tmp_path / "low"
     low.mkdir()
     csv(low, "mjd [d], ra [deg], dec [deg]", MJD + 0.5 + time_s / 86400, 132.3 + time_s / 1e4, 44.8 + 0 * time_s)
     with pytest.raises(
-        SceneError, match=r"scan.file: found the field at .* in observation 0; schedule.min_elevation, 40"
+        SceneError, match=r"scan.track_table: found the field at .* in observation 0; schedule.min_elevation, 40"
     ):
         prepare(scene(low, scheduled=True))
 
@@ -181,11 +182,11 @@ def test_errors_name_the_file_and_the_row(tmp_path, names, rows, error):
     path.write_text("\n".join([names, *rows]) if names else "")
     with pytest.raises(InputError) as raised:
         read_track(path)
-    assert str(raised.value).startswith(f"scan.file: {path}: {error}")
+    assert str(raised.value).startswith(f"scan.track_table: {path}: {error}")
 
 
 def test_missing_files_and_late_or_short_tracks_are_refused(tmp_path):
-    with pytest.raises(SceneError, match=r"scan.file: .*track.csv: no such file in the folder of the scene"):
+    with pytest.raises(SceneError, match=r"scan.track_table: .*track.csv: no such file in the folder of the scene"):
         scene(tmp_path)
     time_s = np.arange(0, 8.1, 0.5)
     sky_csv(tmp_path, time_s)
@@ -197,7 +198,7 @@ def test_missing_files_and_late_or_short_tracks_are_refused(tmp_path):
     folder.mkdir()
     sky_csv(folder, time_s + 1)
     with pytest.raises(
-        SceneError, match=r"scan.file: found a track that begins 1 s after the start of an observation; 0.05 s"
+        SceneError, match=r"scan.track_table: found a track that begins 1 s after the start of an observation; 0.05 s"
     ):
         scene(folder)
 
@@ -230,3 +231,11 @@ def test_a_single_track_without_a_date_can_be_repeated(tmp_path):
     paths = [observation_path(setup.observing, number)[0] for number in (0, 2)]
     assert np.array_equal(paths[0].xi_rad, paths[1].xi_rad)
     assert replace(paths[0]).straight is False
+
+
+def test_output_directories_have_the_table(tmp_path):
+    """Under a name of its own, so that the copied scene is whole."""
+    sky_csv(tmp_path, np.arange(0, 60.1, 0.5))
+    files = scene_files(scene(tmp_path))
+    assert files["track_table.csv"] == (tmp_path / "track.csv").read_bytes()
+    assert 'track_table = "track_table.csv"' in files["scene.toml"].decode()

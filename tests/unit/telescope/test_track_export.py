@@ -37,7 +37,7 @@ COLUMNS = ["observation", "start_mjd", "time", "az", "el", "ra", "dec"]
 def reading(text, scans, name):
     """The scene with the track of a file in its place."""
     keys = f"""pattern = "track"
-file = "{name}"
+track_table = "{name}"
 chunk = "{scans.scan_s!r} s"
 turnaround = "{scans.turnaround_s!r} s"
 dither = "0 arcmin"
