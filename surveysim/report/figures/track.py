@@ -22,8 +22,8 @@ _UNITS = {"arcsec": np.pi / 648_000, "arcmin": np.pi / 10_800, "deg": np.pi / 18
 def track_and_hits(setup: Setup, coadds: CoAdds) -> Figure:
     """Draw the boresight of the first observation with the detectors at its start, and samples in pixels of the map.
 
-    The track is coloured by its speed on the sky, or by time where the speed is constant. Offsets are from the centre of
-    the field, east to the left.
+    The track is coloured by its speed on the sky, or by time where the speed is constant. Offsets are from the centre
+    of the field, east to the left.
     """
     figure = new_figure(10.0, 4.6)
     left, right = figure.subplots(1, 2, gridspec_kw={"wspace": 0.45})
