@@ -66,11 +66,24 @@ BESIDE: dict[str, Mapping[str, Any]] = {
     "pointing_errors.jitter_bandwidth": {"pointing_errors.jitter": "1 arcsec"},
     "pointing_errors.drift": {"pointing_errors.drift_time_scale": "1 day"},
     "pointing_errors.drift_time_scale": {"pointing_errors.drift": "1 arcsec"},
+    "atmosphere.profile": {"atmosphere.water_scale_height": "2 km"},
+    "atmosphere.profile_layers": {"atmosphere.profile": "exponential", "atmosphere.water_scale_height": "2 km"},
+    "atmosphere.water_scale_height": {"atmosphere.profile": "exponential"},
+    "atmosphere.wind_drift.speed_rms": {"atmosphere.wind_drift.time_scale": "1 day"},
+    "atmosphere.wind_drift.direction_rms": {"atmosphere.wind_drift.time_scale": "1 day"},
+    "atmosphere.wind_drift.time_scale": {"atmosphere.wind_drift.speed_rms": 0.1},
     "fixed_pointing.elevation": {"schedule": None, "fixed_pointing.parallactic_angle": "10 deg"},
     "fixed_pointing.parallactic_angle": {"schedule": None, "fixed_pointing.elevation": "50 deg"},
 }
 # Lists, and numbers in tables that a scene has any number of: unit tests have their own of these.
-LISTS = ("score.metrics.", "optimise.", "optics.elements.", "sky.point_sources.", "score.reference.")
+LISTS = (
+    "atmosphere.layers.",
+    "score.metrics.",
+    "optimise.",
+    "optics.elements.",
+    "sky.point_sources.",
+    "score.reference.",
+)
 
 
 def bounds(item: Mapping[str, Any]) -> tuple[float | None, float | None]:

@@ -43,7 +43,7 @@ PROJECTIONS = {
 
 _NODES = 10  # quadrature nodes in each eighth of a turn
 _RADII, _AZIMUTHS = 32, 16  # of the layer's wavevectors
-_SHIFT_EDGES = np.array([0, 0.25, 0.5, 1.25, 4.25, 16.25])  # between parts of the evolution's spectrum [cycles]
+_SHIFT_EDGES = np.array([0, 0.35, 0.75, 16.25])  # between parts of the spectrum of an evolving layer [cycles]
 
 
 @dataclass(frozen=True)

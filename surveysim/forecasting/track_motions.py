@@ -23,7 +23,7 @@ from surveysim.timestreams.simulation import ObservingSetup, boresight_path, obs
 
 AZIMUTHS = 32  # bins of direction in half a turn; two directions at a right angle are centres of bins
 _SPEEDS, _DIRECTIONS = 4, 8  # nodes of equal weight along a curved track
-_SAME_SPEED = 0.01  # relative range of speeds that one node represents
+_SAME_SPEED = 0.1  # relative range of speeds that one node represents
 _TRACKS = 8  # of even, and of odd observations, that represent a survey
 _MOST_SAMPLES = 4000  # of one of them; longer ones are thinned in time
 

@@ -13,7 +13,7 @@ from surveysim.atmosphere.weather import survey_pwv_quantile
 from surveysim.reduction.setup import Setup
 from surveysim.scene.detector_table import KEY
 from surveysim.telescope.optics import scene_chain
-from surveysim.telescope.patterns.figures import Figure
+from surveysim.telescope.patterns.figures import Figure, covered_width
 from surveysim.telescope.patterns.raster import Raster
 from surveysim.timestreams.expected_losses import sampled_share
 from surveysim.timestreams.observed_block import observation_levels
@@ -73,7 +73,7 @@ def _coverage(setup: Setup) -> str:
         width, covers = min(along, across), "scans in both directions cover"
         size = f"{_arcmin(along)} long, {_arcmin(across)} across"
     elif isinstance(scans, Figure):
-        width, covers = 2 * scans.half_width_rad(), f"the {setup.observing.pattern.name} covers"
+        width, covers = covered_width(scans), f"the {setup.observing.pattern.name} covers"
         size = _arcmin(width)
     else:
         return ""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from mapmaker.wind import HIGHEST_HZ
 from surveysim.atmosphere.dated_weather import DatedWeather
+from surveysim.atmosphere.layers import Layer
 from surveysim.atmosphere.weather import Water, fastest_wind, survey_weather
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.memory import machine_bytes
@@ -63,14 +64,19 @@ def check_layer(
         wind = _drawn_wind(scene.atmosphere, air.water, scene.seed, scene.observations, dated=air.dated)
     else:
         wind = fastest_wind(scene.atmosphere, air.water, scene.observations, dated=air.dated)
-    if curved:
-        return sum(_check_curved(layer.strips, wind * layer.fastest_factor, curved) for layer in air.layers)
-    return sum(
-        _check_strip(
-            layer.strips, wind * layer.fastest_factor, radius_rad=radius_rad, scans=scans, lowest_rad=lowest_rad
-        )
-        for layer in air.layers
-    )
+
+    def check(layer: Layer) -> int:
+        strips, fastest = layer.strips, wind * layer.fastest_factor
+        try:
+            if curved:
+                return _check_curved(strips, fastest, curved)
+            return _check_strip(strips, fastest, radius_rad=radius_rad, scans=scans, lowest_rad=lowest_rad)
+        except SceneError as error:
+            if len(air.layers) == 1:
+                raise
+            raise SceneError(f"{error}; this is the layer {layer.section.name!r}") from None
+
+    return sum(map(check, air.layers))
 
 
 @lru_cache(maxsize=2)  # points of a sweep have weather in common

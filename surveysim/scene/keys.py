@@ -65,7 +65,10 @@ class KeyRow:
 def scene_sections() -> tuple[SceneSection, ...]:
     """List all sections in the order of the schema, each before its subsections."""
     schema = Scene.model_json_schema()
-    return tuple(_walk(schema, SceneSection("", False, True, "", schema)))
+    found: dict[tuple[str, str], SceneSection] = {}
+    for section in _walk(schema, SceneSection("", False, True, "", schema)):
+        found.setdefault((section.name, section.chosen_by), section)  # several classes have some in common
+    return tuple(found.values())
 
 
 def all_keys() -> dict[str, dict[str, Any]]:

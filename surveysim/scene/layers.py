@@ -26,7 +26,7 @@ class WindDrift(Section):
 
     @model_validator(mode="after")
     def _changes(self) -> Self:
-        if not (self.speed_rms or self.direction_rms_rad):
+        if self.model_fields_set.isdisjoint({"speed_rms", "direction_rms_rad"}):  # one may be 0, as in a sweep
             raise ValueError("speed_rms: missing; it or 'direction_rms' is expected")
         return self
 

@@ -1,17 +1,49 @@
 """Sections [scan] of closed curves about the centre of the field: daisy, Lissajous figure and pong."""
 
 import math
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
 from surveysim.scene.fields import Angle, Duration, PositiveAngle, Speed, whole
 from surveysim.scene.scan_section import ChunkedScan
+from surveysim.scene.section import Section
 
-_PHASES = 4096  # of a mean over a period, or over all pairs of phases
-_SHARE = (math.sqrt(5) - 1) / 2  # of a turn between neighbouring pairs of phases, which are then evenly spread
+_PHASES = 4096  # of a mean over a period, or over all tuples of phases
+# Shares of a turn by which further phases advance, powers of the plastic number: tuples are then evenly spread.
+_SHARES = (0.7548776662466927, 0.5698402909980532, 0.4301597090019468)
 MOST_TERMS = 100
+_Velocity = tuple[np.ndarray, np.ndarray]
+
+
+class LissajousFigure(Section):
+    """Lissajous figure that is added to a curve, so that the curve covers its area more evenly.
+
+    MUSTANG-2 adds one to its daisies, TolTEC to Lissajous figures.
+    """
+
+    amplitude_x_rad: PositiveAngle = Field(alias="amplitude_x")
+    """Largest offset from the centre along x."""
+    amplitude_y_rad: PositiveAngle = Field(alias="amplitude_y")
+    """Largest offset from the centre along y."""
+    period_x_s: Duration = Field(alias="period_x")
+    """Period along x."""
+    period_y_s: Duration = Field(alias="period_y")
+    """Period along y."""
+    phase_rad: Angle = Field(alias="phase", default=0.0)
+    """Phase of the sine along x at the start of an observation; that along y has none."""
+
+    @property
+    def peak_speeds_rad_s(self) -> tuple[float, float]:
+        """Largest speeds along x and y."""
+        x, y = self.amplitude_x_rad / self.period_x_s, self.amplitude_y_rad / self.period_y_s
+        return 2 * math.pi * x, 2 * math.pi * y
+
+    def velocity_at(self, one: np.ndarray, other: np.ndarray) -> _Velocity:
+        """Velocity along x and y at phases (n,) along these [rad/s]."""
+        x, y = self.peak_speeds_rad_s
+        return x * np.cos(one), y * np.cos(other)
 
 
 class FigureScan(ChunkedScan):
@@ -26,11 +58,34 @@ class FigureScan(ChunkedScan):
     """Angle by which the pattern is turned from x to y."""
     angle_step_rad: Angle = Field(alias="angle_step", default=0.0)
     """Further turn of the pattern from each observation to the next."""
+    lissajous: LissajousFigure | None = None
 
     @property
     def needs_horizon(self) -> str:
         """Key and value of the frame."""
         return "frame: found 'horizon'" if self.frame == "horizon" else ""
+
+    @property
+    def speed_rad_s(self) -> float:
+        """Speed averaged over all phases, as over a figure that takes long to close."""
+        one, other, third, fourth = _phases()
+        x, y = self.velocity_at(one, other)
+        if self.lissajous:
+            more_x, more_y = self.lissajous.velocity_at(third, fourth)
+            x, y = x + more_x, y + more_y
+        return float(np.hypot(x, y).mean())
+
+    @property
+    def fastest_rad_s(self) -> float:
+        """Speed that is reached where all motions are at their fastest in one direction, which is not always so."""
+        more = math.hypot(*self.lissajous.peak_speeds_rad_s) if self.lissajous else 0.0
+        return self.peak_speed_rad_s + more
+
+    if TYPE_CHECKING:
+
+        @property
+        def peak_speed_rad_s(self) -> float: ...  # noqa: D102
+        def velocity_at(self, one: np.ndarray, other: np.ndarray) -> _Velocity: ...  # noqa: D102
 
 
 class DaisyScan(FigureScan):
@@ -54,50 +109,30 @@ class DaisyScan(FigureScan):
         return self.rotation_period_s or math.pi * self.radial_period_s
 
     @property
-    def speed_rad_s(self) -> float:
-        """Speed averaged over time: the radial speed goes as the cosine of a phase, the tangential one as its sine."""
-        phase = 2 * np.pi * np.arange(_PHASES) / _PHASES
-        radial, tangential = np.cos(phase) / self.radial_period_s, np.sin(phase) / self.turn_s
-        return float(2 * np.pi * self.radius_rad * np.hypot(radial, tangential).mean())
-
-    @property
-    def fastest_rad_s(self) -> float:
+    def peak_speed_rad_s(self) -> float:
         """Speed at the centre, or along the rim if the rotation is the faster motion."""
         return 2 * math.pi * self.radius_rad / min(self.radial_period_s, self.turn_s)
 
+    def velocity_at(self, one: np.ndarray, other: np.ndarray) -> _Velocity:
+        """Velocity along x and y at phases (n,) of the oscillation and of the rotation [rad/s]."""
+        peak = 2 * np.pi * self.radius_rad
+        radial, tangential = peak * np.cos(one) / self.radial_period_s, peak * np.sin(one) / self.turn_s
+        cos, sin = np.cos(other), np.sin(other)
+        return radial * cos - tangential * sin, radial * sin + tangential * cos
 
-class LissajousScan(FigureScan):
+
+class LissajousScan(FigureScan, LissajousFigure):
     """Lissajous figure of one observation: sines along both axes, with periods of their own."""
 
     pattern: Literal["lissajous"]
     """Pattern of the scans."""
-    amplitude_x_rad: PositiveAngle = Field(alias="amplitude_x")
-    """Largest offset from the centre along x."""
-    amplitude_y_rad: PositiveAngle = Field(alias="amplitude_y")
-    """Largest offset from the centre along y."""
-    period_x_s: Duration = Field(alias="period_x")
-    """Period along x."""
-    period_y_s: Duration = Field(alias="period_y")
-    """Period along y."""
-    phase_rad: Angle = Field(alias="phase", default=0.0)
-    """Phase of the sine along x at the start of an observation; that along y has none."""
 
     @property
-    def peak_speeds_rad_s(self) -> tuple[float, float]:
-        """Largest speeds along x and y."""
-        x, y = self.amplitude_x_rad / self.period_x_s, self.amplitude_y_rad / self.period_y_s
-        return 2 * math.pi * x, 2 * math.pi * y
-
-    @property
-    def speed_rad_s(self) -> float:
-        """Speed averaged over the phases along both axes, as over a figure that takes long to close."""
-        (x, y), (one, other) = self.peak_speeds_rad_s, _phases()
-        return float(np.hypot(x * np.cos(one), y * np.cos(other)).mean())
-
-    @property
-    def fastest_rad_s(self) -> float:
-        """Speed where both axes are at their fastest, which only some figures reach."""
+    def peak_speed_rad_s(self) -> float:
+        """Speed where both axes are at their fastest."""
         return math.hypot(*self.peak_speeds_rad_s)
+
+    velocity_at = LissajousFigure.velocity_at
 
 
 class PongScan(FigureScan):
@@ -140,15 +175,13 @@ class PongScan(FigureScan):
         return x, y
 
     @property
-    def speed_rad_s(self) -> float:
-        """Speed averaged over the phases along both axes."""
-        one, other = (self._axis_speed(phase) for phase in _phases())
-        return float(np.hypot(one, other).mean())
-
-    @property
-    def fastest_rad_s(self) -> float:
+    def peak_speed_rad_s(self) -> float:
         """Speed where both axes are at their fastest, above `velocity` by the overshoot of the series."""
         return float(math.sqrt(2) * np.abs(self._axis_speed(np.linspace(0, np.pi / 2, _PHASES))).max())
+
+    def velocity_at(self, one: np.ndarray, other: np.ndarray) -> _Velocity:
+        """Velocity along x and y at phases (n,) along these [rad/s]."""
+        return self._axis_speed(one), self._axis_speed(other)
 
     def _axis_speed(self, phase_rad: np.ndarray) -> np.ndarray:
         """Velocity along an axis at phases (n,) of its triangle wave [rad/s]."""
@@ -157,10 +190,10 @@ class PongScan(FigureScan):
         return self.velocity_rad_s / math.sqrt(2) * square
 
 
-def _phases() -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of phases, evenly spread over all pairs."""
+def _phases() -> tuple[np.ndarray, ...]:
+    """Tuples of four phases, evenly spread over all; the first takes a turn in equal steps."""
     number = np.arange(_PHASES)
-    return 2 * np.pi * number / _PHASES, 2 * np.pi * ((number * _SHARE) % 1.0)
+    return 2 * np.pi * number / _PHASES, *(2 * np.pi * ((number * share) % 1.0) for share in _SHARES)
 
 
 def _vertices(x: int, y: int) -> tuple[int, int]:

@@ -97,8 +97,8 @@ def straight_scans(
     motion = _layer_motion(setup, pointing, wind_rad_s)
     tracks = scan_tracks(bounds, sample_rate_hz=rate, **motion, strips=strips)
     points = _strip_points(pointing, bounds, motion["layer_velocity_rad_s"], tracks=tracks, strips=strips)
-    # Equation 2 of the paper, P = B2 sin(el)^(1 - b) alpha^-b, in angles over sin(el).
     add = partial(add_along_tracks, sample_rate_hz=rate, strips=strips)
+    # Equation 2 of the paper, P = B2 sin(el)^(1 - b) alpha^-b, in angles over sin(el).
     return LayerScans(bounds, tracks, points, np.sqrt(b2 / sine), add)
 
 

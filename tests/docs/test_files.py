@@ -13,6 +13,9 @@ import surveysim
 from surveysim.forecasting.forecast import forecast
 from surveysim.output.record import RECORD
 from surveysim.output.writer import write_accuracy, write_extremes, write_forecast
+from surveysim.paper.explain.ingredients import Explained, ingredients
+from surveysim.paper.explain.run import explain
+from surveysim.paper.explain.values import SETTINGS
 from surveysim.paper.reproduce import reproduce
 from surveysim.paper.scenes import TABLES, wanted
 from surveysim.reduction.setup import prepare
@@ -122,6 +125,7 @@ def made(tmp_path_factory):
         "A forecast": [_forecast(folder)],
         "Accuracy": [_accuracy(folder)],
         "The paper": [_paper(folder)],
+        "An explanation": [_explanation(folder)],
     }
 
 
@@ -204,6 +208,12 @@ def _paper(folder):
     return folder / "paper"
 
 
+def _explanation(folder):
+    scene = surveysim.load_scene(_scene(folder, "explained", PAPER_SCENE), SETTINGS)
+    explain(Explained(ingredients()[:1], (scene,), {(90.0, 0.0): scene}), folder / "explained", SERIAL)
+    return folder / "explained"
+
+
 # ---------------------------------------------------------------- what there is
 
 
@@ -266,7 +276,7 @@ def contents(name: str):
 # ---------------------------------------------------------------- compared
 
 
-@pytest.mark.parametrize("command", [*SURVEYS, "The paper"])
+@pytest.mark.parametrize("command", [*SURVEYS, "The paper", "An explanation"])
 def test_every_file(made, command):
     there = {name: "" for folder in made[command] for name in files(folder)}
     if command == "The paper":  # one figure stands for all
@@ -306,7 +316,7 @@ def test_the_list_of_files_in_the_summary_is_whole(made):
             assert listed == files(folder).keys() - {"summary.json", CHECKPOINT, EVALUATIONS, RECORD, "scene.toml"}
 
 
-@pytest.mark.parametrize("command", [*SURVEYS, "The paper"])
+@pytest.mark.parametrize("command", [*SURVEYS, "The paper", "An explanation"])
 def test_the_record_is_whole(made, command):
     """Each file that a command writes is known as its own."""
     for folder in made[command]:

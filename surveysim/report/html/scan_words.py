@@ -50,11 +50,13 @@ def _daisy(scan: Values) -> str:
 
 
 def _lissajous(scan: Values) -> str:
-    x, y = _arcmin(scan["amplitude_x_rad"]), _arcmin(scan["amplitude_y_rad"])
-    return (
-        f"a Lissajous figure of amplitudes {x} and {y}, with periods of {short(scan['period_x_s'])} s and"
-        f" {short(scan['period_y_s'])} s, {_figure(scan)}"
-    )
+    return f"{_lissajous_words(scan)}, {_figure(scan)}"
+
+
+def _lissajous_words(figure: Values) -> str:
+    x, y = _arcmin(figure["amplitude_x_rad"]), _arcmin(figure["amplitude_y_rad"])
+    periods = f"{short(figure['period_x_s'])} s and {short(figure['period_y_s'])} s"
+    return f"a Lissajous figure of amplitudes {x} and {y}, with periods of {periods}"
 
 
 def _pong(scan: Values) -> str:
@@ -73,8 +75,10 @@ def _figure(scan: Values) -> str:
     axes = {"sky": "along right ascension and declination", "horizon": "along azimuth and elevation"}[scan["frame"]]
     turned = f", turned by {_degrees(scan['angle_rad'])}" if scan["angle_rad"] else ""
     step = f", {_degrees(scan['angle_step_rad'])} more in each observation" if scan["angle_step_rad"] else ""
+    added = f"with {_lissajous_words(scan['lissajous'])} added, " if scan["lissajous"] else ""
     return (
-        f"for {short(scan['total_s'])} s in chunks of {short(scan['duration_s'])} s. Its axes are {axes}{turned}{step}."
+        f"{added}for {short(scan['total_s'])} s in chunks of {short(scan['duration_s'])} s. Its axes are"
+        f" {axes}{turned}{step}."
     )
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mapmaker.uncertainty import FEWEST
+from mapmaker.uncertainty import FEWEST, draws
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.report.html.page import REPORT
 from surveysim.report.terminal.layout import Terminal
@@ -105,8 +105,9 @@ def error_warnings(result: SurveyResult) -> list[str]:
     if estimate is None or not math.isnan(estimate.error_ukcmb2):
         return []
     fewest = FEWEST_CONTROLLED if estimate.kind == "controlled" else FEWEST
-    found = f"found {result.coadds.done} observations; {fewest} or more are needed to estimate them"
-    return [f"errors are unknown: {found}."]
+    block, done = result.setup.air.block(result.coadds.done), result.coadds.done
+    found = f"{done} observations" if block is None else f"{draws(done, block)} independent spells of weather"
+    return [f"errors are unknown: found {found}; {fewest} or more are needed to estimate them."]
 
 
 def forecast_warnings(content: Content) -> list[str]:

@@ -33,8 +33,8 @@ class Daisy(Figure):
         return np.stack([radial * np.cos(turn), radial * np.sin(turn)])
 
     def extent_rad(self) -> float:
-        """Return the radius."""
-        return self.radius_rad
+        """Compute the extent of the circle."""
+        return self.radius_rad + self.box_extent_rad(0.0, 0.0)
 
     def half_width_rad(self) -> float:
         """Return the radius."""

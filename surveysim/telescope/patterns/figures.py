@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from surveysim.scene.scan_figures import FigureScan
+from surveysim.scene.scan_figures import FigureScan, LissajousFigure
 from surveysim.telescope.horizon_frame import HorizonFrame, to_horizon
 from surveysim.telescope.scans import ScanPath, Scans, sample_times, timing
 
@@ -26,11 +26,14 @@ class Figure(Scans):
         Whether the axes are those of the horizon.
     angle_rad, angle_step_rad
         Angle by which the first observation's curve is turned from x to y, and that between observations.
+    added
+        Lissajous figure that is added to the curve.
     """
 
     horizon: bool
     angle_rad: float
     angle_step_rad: float
+    added: LissajousFigure | None
 
     @abstractmethod
     def curve(self, time_s: np.ndarray) -> np.ndarray:
@@ -45,7 +48,9 @@ class Figure(Scans):
         """Return half the width of the area that the curve fills, where it is narrowest [rad]."""
 
     def box_extent_rad(self, half_x_rad: float, half_y_rad: float) -> float:
-        """Compute the extent of a box about the centre, with half sides along x and y."""
+        """Compute the extent of a box about the centre, with half sides along x and y, and of what is added to it."""
+        if self.added:
+            half_x_rad, half_y_rad = half_x_rad + self.added.amplitude_x_rad, half_y_rad + self.added.amplitude_y_rad
         if self.horizon or self.angle_step_rad:
             return float(np.hypot(half_x_rad, half_y_rad))
         cos, sin = abs(np.cos(self.angle_rad)), abs(np.sin(self.angle_rad))
@@ -59,12 +64,19 @@ def figure_keys(section: FigureScan) -> dict[str, Any]:
         "horizon": section.frame == "horizon",
         "angle_rad": section.angle_rad,
         "angle_step_rad": section.angle_step_rad,
+        "added": section.lissajous,
     }
 
 
 def figure_extent(figure: Figure, lowest_rad: float) -> float:
     """Compute the largest offset from the centre along either axis of the sky, at any elevation [rad]."""
     return figure.extent_rad()
+
+
+def covered_width(figure: Figure) -> float:
+    """Compute the width of the area that the boresight covers, where it is narrowest [rad]."""
+    added = figure.added
+    return 2 * (figure.half_width_rad() + (min(added.amplitude_x_rad, added.amplitude_y_rad) if added else 0.0))
 
 
 def figure_path(figure: Figure, observation: int, dither: np.ndarray, frame: HorizonFrame | None) -> ScanPath:
@@ -86,9 +98,15 @@ def figure_path(figure: Figure, observation: int, dither: np.ndarray, frame: Hor
     )
 
 
+def lissajous_curve(figure: LissajousFigure, time_s: np.ndarray) -> np.ndarray:
+    """Compute the offsets (2, n) of a Lissajous figure along x and y [rad] at times (n,)."""
+    x = figure.amplitude_x_rad * np.sin(2 * np.pi * time_s / figure.period_x_s + figure.phase_rad)
+    return np.stack([x, figure.amplitude_y_rad * np.sin(2 * np.pi * time_s / figure.period_y_s)])
+
+
 def _on_sky(figure: Figure, observation: int, time_s: np.ndarray, frame: HorizonFrame | None) -> np.ndarray:
     """Compute the curve in the tangent plane, (2, n) along xi and eta."""
-    x, y = figure.curve(time_s)
+    x, y = figure.curve(time_s) + (lissajous_curve(figure.added, time_s) if figure.added else 0.0)
     angle = figure.angle_rad + observation * figure.angle_step_rad
     x, y = x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)
     if not figure.horizon:

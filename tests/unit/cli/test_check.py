@@ -113,8 +113,7 @@ def test_the_fastest_wind_is_faster_than_all_that_are_drawn(small):
     drawn = max(observation_weather(setup, number).wind_speed_rad_s for number in range(300))
     bound = fastest_wind(setup.scene.atmosphere, None, 300)
     assert drawn < bound < 100 * drawn
-    seasons = (None,) * 300
-    assert limits._drawn_wind(setup.scene.atmosphere, setup.air.water, setup.scene.seed, seasons) == drawn
+    assert limits._drawn_wind(setup.scene.atmosphere, setup.air.water, setup.scene.seed, 300, dated=None) == drawn
 
 
 @pytest.mark.parametrize(

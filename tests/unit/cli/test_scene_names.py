@@ -186,7 +186,10 @@ def test_keys_of_a_section(call, monkeypatch):
     assert (code, out) == (2, "") and "keys: found 'scor'" in error and "did you mean score" in error
     assert call("keys", "scan.spead") == (2, "", "keys: found 'scan.spead'; did you mean scan.speed?\n")
     error = call("keys", "scan.quux")[2]
-    assert error.startswith("keys: found 'scan.quux'; a key of [scan] is expected: pattern, ") and "ell" not in error
+    assert (
+        error.startswith("keys: found 'scan.quux'; a key of [scan] is expected: lissajous, pattern")
+        and "ell" not in error
+    )
     assert "one of the sections field, site, schedule" in call("keys", "quux")[2]
 
 

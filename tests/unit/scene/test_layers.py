@@ -112,7 +112,10 @@ def test_refusals(path, keys, words):
             {"wind_drift": {"speed_rms": 0.1, "time_scale": "5 s"}},
             ("atmosphere.wind_drift.time_scale: found 5 s",),
         ),
-        ({"layers": [LOW, HIGH | {"height": "10 m", "wind_factor": 100}]}, ("tracks through the layer",)),
+        (
+            {"layers": [LOW, HIGH | {"height": "10 m", "wind_factor": 100}]},
+            ("tracks through the layer", "this is the layer 'high'"),
+        ),
     ],
 )
 def test_scans_refuse_fast_changes_and_long_tracks(path, keys, words):

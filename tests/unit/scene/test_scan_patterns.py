@@ -31,6 +31,14 @@ velocity = "2 arcmin / s"
 terms = 5
 {COMMON}"""
 
+ADDED = """
+[scan.lissajous]
+amplitude_x = "1 arcmin"
+amplitude_y = "2 arcmin"
+period_x = "30 s"
+period_y = "41 s"
+"""
+
 
 def errors(folder, keys):
     with pytest.raises(SceneError) as raised:
@@ -103,12 +111,18 @@ def test_report_has_words_for_every_pattern():
             " observation.",
         ),
         (
+            f"{DAISY}{ADDED}",
+            "a daisy of radius 4 arcmin, with a period of 7 s along a diameter, with a Lissajous figure of amplitudes 1"
+            " arcmin and 2 arcmin, with periods of 30 s and 41 s added, for 60 s in chunks of 15 s. Its axes are along"
+            " right ascension and declination.",
+        ),
+        (
             PONG,
             "a pong of 18 arcmin by 14 arcmin, with lines 1 arcmin apart at 2 arcmin/s, for 60 s in chunks of 15 s. Its"
             " axes are along right ascension and declination.",
         ),
     ],
-    ids=["daisy", "lissajous", "pong"],
+    ids=["daisy", "lissajous", "added", "pong"],
 )
 def test_report_says_what_the_telescope_does(tmp_path, keys, words):
     scene = load_scene(write_scene(tmp_path, with_scan(SMALL_SCENE, keys)))

@@ -101,7 +101,7 @@ def pong(**keys):
 )
 def test_mean_and_largest_speed(section, mean, most):
     """Of slopes on a fine grid; figures whose phases fill all pairs only in the long run are less close."""
-    step_s = 0.002
+    step_s = 0.01
     x, y = figure(section).curve(np.arange(0, 4200, step_s))
     speed = np.hypot(np.diff(x), np.diff(y)) / step_s
     assert section.speed_rad_s == pytest.approx(speed.mean(), rel=mean)
@@ -113,6 +113,26 @@ def test_lissajous_is_two_sines():
     x, y = figure(lissajous(phase="30 deg")).curve(time_s)
     np.testing.assert_allclose(x, 5 * ARCMIN * np.sin(2 * np.pi * time_s / 11 + np.pi / 6))
     np.testing.assert_allclose(y, 3 * ARCMIN * np.sin(2 * np.pi * time_s / 7.3))
+
+
+ADDED = {"amplitude_x": "1 arcmin", "amplitude_y": "2 arcmin", "period_x": "30 s", "period_y": "41 s"}
+
+
+@pytest.mark.parametrize("make, reach", [(daisy, 4 + 2), (lissajous, 5 + 1), (pong, 13 / np.sqrt(2) + 1)])
+def test_a_lissajous_figure_is_added_to_a_curve(make, reach):
+    """To offsets, extents and speeds; the mean speed is that of slopes, the fastest an upper bound."""
+    plain, both = make(), make(lissajous=ADDED)
+    time_s = np.arange(0, 7200, 0.05)
+    path = figure(both).curve(time_s)
+    offsets = figure_path(figure(both), 0, np.zeros(2), None), figure_path(figure(plain), 0, np.zeros(2), None)
+    x, y = offsets[0].xi_rad - offsets[1].xi_rad, offsets[0].eta_rad - offsets[1].eta_rad
+    np.testing.assert_allclose(x, ARCMIN * np.sin(2 * np.pi * offsets[0].time_s / 30), atol=1e-12)
+    np.testing.assert_allclose(y, 2 * ARCMIN * np.sin(2 * np.pi * offsets[0].time_s / 41), atol=1e-12)
+    assert figure_extent(figure(both), 0.5) == pytest.approx(reach * ARCMIN)
+    path = path + [ARCMIN * np.sin(2 * np.pi * time_s / 30), 2 * ARCMIN * np.sin(2 * np.pi * time_s / 41)]
+    speed = np.hypot(*np.diff(path)) / 0.05
+    assert both.speed_rad_s == pytest.approx(speed.mean(), rel=5e-3)
+    assert 0.95 * both.fastest_rad_s < speed.max() <= both.fastest_rad_s
 
 
 def test_pong_bounces_on_all_vertices_before_it_closes():

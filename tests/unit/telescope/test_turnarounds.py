@@ -94,12 +94,6 @@ def test_flagged_turnarounds_of_rasters_are_in_streams_and_not_in_maps(scene_of)
     assert result.flagged == pytest.approx(2 / 8)  # turnarounds of 2 s, scans of 6 s
 
 
-def test_flagged_turnarounds_have_no_closed_form(scene_of):
-    from surveysim.forecasting.forecast import why_no_forecast
-
-    assert why_no_forecast(prepare(scene_of(turnarounds="flagged"))).startswith("scan.turnarounds: found 'flagged'")
-
-
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
