@@ -21,7 +21,6 @@ from surveysim.reduction.consistency import (
     check_healpix,
     check_levels,
     check_masked,
-    check_motion,
     check_score,
     check_size,
     check_sky,
@@ -32,6 +31,7 @@ from surveysim.reduction.consistency import (
 from surveysim.reduction.curved_tracks import curved_motions
 from surveysim.reduction.detector_weights import beams_of, detector_weights
 from surveysim.reduction.layer_checks import check_changes
+from surveysim.reduction.motion_checks import check_motion
 from surveysim.reduction.mount_check import check_mount
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
 from surveysim.reduction.response_checks import check_response

@@ -7,7 +7,7 @@ import pytest
 
 from mapmaker.geometry import boresight_pixels, pixel_indices
 from mapmaker.wind import scan_velocities
-from surveysim.reduction.consistency import MAX_AIRMASS_CHANGE, MAX_TURN_BEAMS
+from surveysim.reduction.motion_checks import MAX_AIRMASS_CHANGE, MAX_TURN_BEAMS
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
