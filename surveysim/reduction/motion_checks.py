@@ -7,18 +7,19 @@ import numpy as np
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import Scene
 from surveysim.telescope.directions import Site
-from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.patterns.azimuth import AzimuthSweeps, half_throw_rad
 from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, near_angles
 from surveysim.telescope.scans import Scans, mid_times
 
 SCANS_AT_ONCE = 200_000  # scans whose angles are checked together
-MAX_TURN_BEAMS = 0.1  # largest motion of the array's edge by the rotation of the sky in half a scan, in beams
+# Largest rotation of the array in the layer in half a scan. Separations of detectors along the motion of the layer change
+# by as much: to one side in the first half and to the other in the second, so that they are right on average.
+MAX_TURN_RAD = 0.05
 MAX_AIRMASS_CHANGE = 0.02  # largest relative change in half a scan: 2.7 % of the layer's amplitude at an index of 11/3
 MAX_THROW_RAD = math.pi  # of a sweep in azimuth: longer ones turn about the zenith
 
 
-def check_motion(scene: Scene, cam: Camera, site: Site, starts: Schedule, scans: Scans) -> float:
+def check_motion(scene: Scene, site: Site, starts: Schedule, scans: Scans) -> float:
     """Raise SceneError where the pointing departs too far from the model of the layer or from sweeps in azimuth.
 
     A straight scan has the layer at one airmass and one array angle. Exact angles are computed only for scans that may
@@ -42,7 +43,6 @@ def check_motion(scene: Scene, cam: Camera, site: Site, starts: Schedule, scans:
             continue
         _check_some_motion(
             scene,
-            cam,
             site,
             starts,
             mid_time_s=mid_time_s,
@@ -55,7 +55,6 @@ def check_motion(scene: Scene, cam: Camera, site: Site, starts: Schedule, scans:
 
 def _check_some_motion(
     scene: Scene,
-    cam: Camera,
     site: Site,
     starts: Schedule,
     *,
@@ -69,17 +68,16 @@ def _check_some_motion(
     most_up_rad = half_s * SIDEREAL_RAD_S * math.cos(site.latitude_rad)
     most_turn_rad = most_up_rad / np.cos(np.minimum(elevation_rad + most_up_rad, math.pi / 2))
     most_airmass = np.sin(elevation_rad) / np.sin(np.maximum(elevation_rad - most_up_rad, 1e-3)) - 1
-    allowed_rad = MAX_TURN_BEAMS * scene.instrument.beam_fwhm_rad
-    doubtful = (most_turn_rad * cam.radius_rad > allowed_rad) | (most_airmass > MAX_AIRMASS_CHANGE)
+    doubtful = (most_turn_rad > MAX_TURN_RAD) | (most_airmass > MAX_AIRMASS_CHANGE)
     rows = np.flatnonzero(doubtful.any(axis=1))
     for side in (-half_s, half_s):
         end_up, end_angle = near_angles(site, starts.some(which[rows]), mid_time_s + side)
         turn = np.abs((end_angle - parallactic_rad[rows] + math.pi) % (2 * math.pi) - math.pi)
         change = np.abs(np.sin(elevation_rad[rows]) / np.sin(np.maximum(end_up, 1e-3)) - 1)
-        wrong = (turn * cam.radius_rad > allowed_rad) | (change > MAX_AIRMASS_CHANGE)
+        wrong = (turn > MAX_TURN_RAD) | (change > MAX_AIRMASS_CHANGE)
         for place in np.flatnonzero(wrong.any(axis=1))[:1]:
             number, up = int(which[rows[place]]), elevation_rad[rows[place]]
-            _check_turn(number, up, turn[place], cam.radius_rad, allowed_rad)
+            _check_turn(number, up, turn[place])
             _check_airmass(number, up, change[place])
 
 
@@ -92,15 +90,14 @@ def _check_throw(scans: AzimuthSweeps, up_rad: float) -> None:
         )
 
 
-def _check_turn(number: int, up_rad: np.ndarray, turn_rad: np.ndarray, radius_rad: float, allowed_rad: float) -> None:
+def _check_turn(number: int, up_rad: np.ndarray, turn_rad: np.ndarray) -> None:
     worst = int(np.argmax(turn_rad))
-    if turn_rad[worst] * radius_rad > allowed_rad:
+    if turn_rad[worst] > MAX_TURN_RAD:
         raise SceneError(
             f"scan.duration: found scans of observation {number}, at {math.degrees(up_rad[worst]):.1f} deg elevation,"
-            f" during which the sky turns by {math.degrees(turn_rad[worst]):.2g} deg in half a scan and the array's"
-            f" edge moves by {math.degrees(turn_rad[worst] * radius_rad) * 3600:.3g} arcsec; {MAX_TURN_BEAMS:g} of a"
-            f" beam, {math.degrees(allowed_rad) * 3600:.3g} arcsec, or less is expected: shorter scans, or a field that"
-            " stays away from the zenith"
+            f" during which the sky turns by {math.degrees(turn_rad[worst]):.2g} deg in half a scan;"
+            f" {math.degrees(MAX_TURN_RAD):.2g} deg or less is expected: shorter scans, or a field that stays away from"
+            " the zenith"
         )
 
 

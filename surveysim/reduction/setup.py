@@ -223,7 +223,7 @@ def _prepare(scene: Scene) -> Setup:
     scene_pipelines = pipelines(scene.cleaning, masked)
     _check_blocks(scene, common, scene_pipelines)
     drawn = _simulation(scene, common)
-    lowest = _lowest(scene, cam, common.times, scans)
+    lowest = _lowest(scene, common.times, scans)
     weight = detector_weights(drawn.camera, check_levels(scene, drawn.air.water, lowest))
     check_sources(scene, common.sky_geometry)
     others = _others(scene, common) if "spectral" in scene.cleaning.named else ()
@@ -328,11 +328,11 @@ def _geometry(scene: Scene, extent_rad: float, pixel_rad: float) -> MapGeometry:
     return covering_geometry(scene.field.ra_rad, scene.field.dec_rad, pixel_rad, extent_rad)
 
 
-def _lowest(scene: Scene, cam: Camera, times: Schedule | None, scans: Scans) -> float:
+def _lowest(scene: Scene, times: Schedule | None, scans: Scans) -> float:
     """Lowest elevation of the field at all scans [rad]; raises SceneError where the sky moves too far within one."""
     if times is None:
         return scene.fixed_pointing.elevation_rad
-    return check_motion(scene, cam, observing_site(scene), times, scans)
+    return check_motion(scene, observing_site(scene), times, scans)
 
 
 def _water(scene: Scene, dated: DatedWeather | None) -> Water | None:
