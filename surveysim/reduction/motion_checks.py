@@ -12,8 +12,8 @@ from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, near_angles
 from surveysim.telescope.scans import Scans, mid_times
 
 SCANS_AT_ONCE = 200_000  # scans whose angles are checked together
-# Largest rotation of the array in the layer in half a scan. Separations of detectors along the motion of the layer change
-# by as much: to one side in the first half and to the other in the second, so that they are right on average.
+# Largest rotation of the array in the layer in half a scan. Separations of detectors along the motion of the layer
+# change by as much: to one side in the first half and to the other in the second, so that they are right on average.
 MAX_TURN_RAD = 0.05
 MAX_AIRMASS_CHANGE = 0.02  # largest relative change in half a scan: 2.7 % of the layer's amplitude at an index of 11/3
 MAX_THROW_RAD = math.pi  # of a sweep in azimuth: longer ones turn about the zenith
