@@ -35,6 +35,7 @@ _TABLES = (
     "sensitivity",
 )
 _FIGURES = (
+    "track",
     "timestream_psd",
     "map",
     "map_psd",

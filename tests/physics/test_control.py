@@ -126,16 +126,16 @@ def test_few_observations_have_no_error_without_a_forecast(tmp_path):
 
 @pytest.mark.slow
 def test_errors_of_few_observations_are_right():
-    """72 seeds of 4 and of 8 observations: chi^2 per degree of freedom, and no small errors of low values.
+    """48 seeds of 4 and of 8 observations: chi^2 per degree of freedom, and no small errors of low values.
 
-    142 degrees of freedom scatter by 0.12; 24 seeds at a time gave 0.7 to 1.6. The errors of version 0.2.0 gave 1.6 and
+    94 degrees of freedom scatter by 0.15; 24 seeds at a time gave 0.7 to 1.6. The errors of version 0.2.0 gave 1.6 and
     2.1 over 50 seeds of each: the noise part came from the scatter of 8 sign flips, and the plain one lacked discarded
     scans.
     """
     deviation, relative = [], []
     for n_obs in (4, 8):
         bands = []
-        for seed in range(72):
+        for seed in range(48):
             settings = {"observations": n_obs, "seed": 300 + seed, "score.noise_only_sets": []}
             setup = prepare(load_scene("scenarios/first_light.toml", settings))
             with shared_expectations():
@@ -145,7 +145,7 @@ def test_errors_of_few_observations_are_right():
         mean = sigma.mean(axis=-1, keepdims=True)
         deviation.append(np.sum(((sigma - mean) / error) ** 2, axis=-1))
         relative.append(error / sigma)
-    chi2 = np.sum(deviation, axis=0) / 142
-    assert (abs(chi2 - 1) < 3 * 0.12).all(), chi2
+    chi2 = np.sum(deviation, axis=0) / 94
+    assert (abs(chi2 - 1) < 3 * 0.15).all(), chi2
     for of_seeds in relative:
         assert (of_seeds.min(axis=-1) > 0.6 * np.median(of_seeds, axis=-1)).all()

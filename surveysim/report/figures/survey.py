@@ -17,9 +17,11 @@ from surveysim.report.figures.run_time import time_figure
 from surveysim.report.figures.sky_map import coadded_map
 from surveysim.report.figures.spectra import bin_weights, cumulative_sensitivity, map_psds, transfer_functions
 from surveysim.report.figures.style import save
+from surveysim.report.figures.track import track_and_hits
 from surveysim.results.results import SurveyResult
 
 TITLES = {
+    "track": "scans and samples",
     "timestream_psd": "time-streams before and after cleaning",
     "map": "co-added map and its noise",
     "map_psd": "PSDs of the maps",
@@ -29,19 +31,23 @@ TITLES = {
     "weather": "noise of each observation",
 }
 RUN_TIME = "run_time"
-FULL_COLOUR = ("map", "weather")  # those with a colour bar
+FULL_COLOUR = ("track", "map", "weather")  # those with a colour bar
 
 
 def survey_figures(result: SurveyResult) -> dict[str, Callable[[], Figure]]:
     """Return a function for each figure that the run has results for, by name.
 
-    Time-stream PSDs and the map need a kept scan; spectra of the maps need scores; noise against weather needs an
+    Track, time-stream PSDs and map need a kept scan; spectra of the maps need scores; noise against weather needs an
     atmosphere; error against run time needs a known error.
     """
     setup, coadds, scores, expected = result.setup, result.coadds, result.scores, result.expected
     if not coadds.weight[0].any():
         return {}
-    made = {"timestream_psd": partial(timestream_psd, setup, coadds), "map": partial(coadded_map, setup, coadds)}
+    made = {
+        "track": partial(track_and_hits, setup, coadds),
+        "timestream_psd": partial(timestream_psd, setup, coadds),
+        "map": partial(coadded_map, setup, coadds),
+    }
     if scores:
         made["map_psd"] = partial(map_psds, setup, scores, expected)
         made["transfer_function"] = partial(transfer_functions, setup, scores, expected)

@@ -15,6 +15,17 @@ class Caption:
 
 # By name of the file. In braces: facts of the run (`surveysim.report.html.survey`).
 RUN = {
+    "track": Caption(
+        "Scans and samples",
+        "Two panels: the track of the boresight about the centre of the field, and the samples in pixels of the map.",
+        "Across and up: offsets from the centre of the field, east to the left. Left: track of the boresight in the "
+        "first observation, coloured by its speed on the sky, or by time where the speed is constant; vermilion: "
+        "turnarounds, which are simulated and in no map; dots: detectors at the start. Turnarounds that are not "
+        "simulated are left out. Right: samples of the actual data in each pixel, of all observations. The square is "
+        "the scored area.",
+        "Look for an even number of samples inside the square, and for tracks that cross it in several directions, "
+        "which tell the sky from drifts.",
+    ),
     "timestream_psd": Caption(
         "Time-streams before and after cleaning",
         "Power spectral density of the time-streams against frequency, before and after cleaning, with noise levels.",

@@ -145,6 +145,7 @@ def test_a_figure_that_fails_costs_a_line(result, tmp_path, monkeypatch, caplog,
     monkeypatch.setattr(figures, "save", lambda figure, path, full: path.write_bytes(b""))  # drawing takes time
     monkeypatch.setattr(figures, "weather", fail)
     for name in (
+        "track_and_hits",
         "timestream_psd",
         "coadded_map",
         "map_psds",

@@ -72,7 +72,7 @@ def test_scene_with_little_to_show(tmp_path, monkeypatch):
     setup = prepare(load_scene(LYNX, {key: TINY[key] for key in TINY if "score" not in key} | CALM))
     coadds = run_observations(setup, None)
     drawings = figures.drawings(survey_result(setup, coadds, wall_s=1.0, workers=1))
-    assert list(drawings) == ["timestream_psd", "map"]
+    assert list(drawings) == ["track", "timestream_psd", "map"]
     for name, draw in drawings.items():
         draw(tmp_path / name)
     assert len(timestream_psd(setup, coadds).axes) == 1

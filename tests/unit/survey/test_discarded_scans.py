@@ -263,8 +263,9 @@ def test_a_lowest_point_that_loses_scans_is_not_called_the_best(tmp_path, monkey
 
 @pytest.mark.slow
 def test_forecasts_predict_shares_and_compare_none(tmp_path):
+    """In calm weather, where fits to single scans lose more than half of the 16 scans."""
     path = tmp_path / "small.toml"
-    path.write_text(without_sections(SMALL_SCENE, "sky") + LEVELS)
+    path.write_text(without_sections(SMALL_SCENE, "sky").replace("[100, 280, 980]", "[4, 9, 20]") + LEVELS)
     result = forecast_sweep(path, tmp_path / "out", figures=False)
     assert discard_lines(result)[0].startswith("scans discarded, as predicted from a few, actual: ")
     table = Table.read(tmp_path / "out" / "sweep.ecsv", format="ascii.ecsv")

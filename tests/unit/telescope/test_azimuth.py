@@ -95,6 +95,26 @@ def test_the_extent_holds_rising_and_setting_scans():
     assert azimuth_extent(scans, 0.5) < 2 * reach
 
 
+def test_hits_of_the_boresight_are_uniform_where_the_field_drifts_through():
+    """Density in closed form: samples a length along a sweep, over the distance between sweeps across it."""
+    scans = sweeps(sweep_rad_s=0.2 * DEG, speed_rad_s=0.2 * DEG, n_scans=100, sample_rate_hz=100.0)
+    path = azimuth_path(scans, 0, NO_DITHER, RISING)
+    _, _, vertical = to_horizon(RISING, np.array([duration_s(scans) / 2]), np.zeros(1), np.zeros(1))
+    # Along a sweep, and across it: the drift is along xi. The vertical turns while the field drifts.
+    across = SIDEREAL_RAD_S * np.cos(FIELD.dec_rad) * abs(np.sin(vertical[0]))
+    density = 100.0 / (0.2 * DEG * across * 13.0)
+    cos, sin = np.cos(vertical[0]), np.sin(vertical[0])
+    along = -path.xi_rad * cos + path.eta_rad * sin
+    over = path.xi_rad * sin + path.eta_rad * cos
+    half = across * duration_s(scans) / 2
+    hits, x, y = np.histogram2d(along, over, (6, 6), ((-0.6 * DEG, 0.6 * DEG), (-0.6 * half, 0.6 * half)))
+    expected = density * (x[1] - x[0]) * (y[1] - y[0])
+    assert hits.mean() == pytest.approx(expected, rel=0.005)
+    np.testing.assert_allclose(hits, expected, rtol=0.01)
+    # Sweeps end at half a throw, 1 degree, on lines that turn.
+    assert np.abs(along).max() == pytest.approx(DEG, rel=0.05)
+
+
 @pytest.fixture
 def scene_of(tmp_path):
     path = tmp_path / "scene.toml"
