@@ -121,7 +121,7 @@ def _named(content: Content, verdict: str) -> Column:
 
 def _moved(entry: Mapping[str, Any]) -> str:
     value, error = _known(entry["difference"]), _known(entry["difference_error"])
-    if abs(value) <= _ROUNDING * abs(_known(entry["value"])):
+    if max(abs(value), error) <= _ROUNDING * abs(_known(entry["value"])):
         return "0"
     sign = "+" if value > 0 else ""
     return f"{sign}{with_error(value, error)} {entry['verdict']}".rstrip()
