@@ -28,13 +28,13 @@ def entry_table(content: Content) -> Table:
 
 
 def overview_table(content: Content) -> Table:
-    """Return a row for each finding: paper, one layer, ingredients that explain it or help, and all together."""
+    """Return a row for each finding: paper, one layer, best combination, and ingredients that explain it or help."""
     columns = (
         _titles(content),
         _paper(content),
         _values(content, 0),
-        *(_named(content, verdict) for verdict in (EXPLAINS, HELPS)),
         _values(content, -1),
+        *(_named(content, verdict) for verdict in (EXPLAINS, HELPS)),
     )
     return Table("overview", "Findings of the paper, and the ingredients that explain them", columns)
 
