@@ -26,6 +26,7 @@ from surveysim.forecasting.observing_conditions import (
 )
 from surveysim.forecasting.pilot import KeptScans, predict_kept_scans
 from surveysim.forecasting.response_filters import CLOSED_STEPS
+from surveysim.forecasting.track_motions import track_motions
 from surveysim.forecasting.validity import EffectInputs, NeglectedEffect, neglected_effects
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.setup import Setup
@@ -200,7 +201,9 @@ def _scored(
         psd, signal, rings.n_modes, band.selected, ell=rings.ell, edges_ell=rings.edges_ell, relative_error=0.0
     )
     layer = model.layer_noise(conditions)
-    inputs = EffectInputs(model.pipeline, model.n_det, conditions, kept, weight, noise, layer, score.weight, hits)
+    inputs = EffectInputs(
+        model.pipeline, model.n_det, conditions, kept, weight, noise, layer, score.weight, hits, track_motions(setup)
+    )
     passed = signal / band.signal_psd
     found = neglected_effects(setup, inputs)
     return DataSetForecast(model.name, model.n_det, score, psd, signal, passed, weight, kept, found)

@@ -25,6 +25,8 @@ AZIMUTHS = 32  # bins of direction in half a turn; two directions at a right ang
 _SPEEDS, _DIRECTIONS = 4, 8  # nodes of equal weight along a curved track
 _SAME_SPEED = 0.1  # relative range of speeds that one node represents
 _TRACKS = 8  # of even, and of odd observations, that represent a survey
+_CURVATURES = 50  # quantiles
+_SLOWEST_RAD_S = 1e-12  # of a boresight at rest
 _MOST_SAMPLES = 4000  # of one of them; longer ones are thinned in time
 
 
@@ -48,6 +50,8 @@ class TrackMotions:
         Share of each place in the power of the signal; they sum to 1.
     directions : (n_place, n_speed, AZIMUTHS)
         Distribution of the samples of a place over speed and direction, modulo half a turn; it sums to 1.
+    curvature : (n_curvature,)
+        Quantiles of equal weight in the noise of the curvature of the track [1/rad].
     """
 
     straight: bool
@@ -57,13 +61,15 @@ class TrackMotions:
     track_of: np.ndarray
     place_share: np.ndarray
     directions: np.ndarray
+    curvature: np.ndarray
 
 
 @dataclass(frozen=True)
 class _Track:
-    """Complex velocity of samples (n,), their weight in the noise, and in the signal of places (n, n_place)."""
+    """Complex velocity and curvature of samples (n,), their weight in the noise, and in places (n, n_place)."""
 
     velocity: np.ndarray
+    curvature: np.ndarray
     noise: np.ndarray
     places: np.ndarray
     straight: bool
@@ -90,6 +96,7 @@ def track_motions(setup: Setup) -> TrackMotions:
         track_of=track_of,
         place_share=total[seen] / total.sum(),
         directions=directions[seen] / total[seen, None, None],
+        curvature=_curvatures(tracks),
     )
 
 
@@ -122,15 +129,19 @@ def _tracks(setup: Setup, numbers: np.ndarray) -> list[_Track]:
 def _straight_track(path: ScanPath) -> _Track:
     """Scans, which all places see alike, in place of samples."""
     ones = np.ones(len(path.velocity_rad_s))
-    return _Track(path.velocity_rad_s @ [1, 1j], ones, ones[:, None], True)
+    return _Track(path.velocity_rad_s @ [1, 1j], 0 * ones, ones, ones[:, None], True)
 
 
 def _curved_track(path: ScanPath, pointing: Pointing, coverage: Coverage) -> _Track:
     place = (path.xi_rad + 1j * path.eta_rad).reshape(len(path.mid_time_s), -1)
-    velocity = np.ravel(np.gradient(place, path.time_s[1] - path.time_s[0], axis=1))
+    seconds = path.time_s[1] - path.time_s[0]
+    velocity = np.asarray(np.gradient(place, seconds, axis=1))
+    turning = np.abs(np.gradient(np.unwrap(np.angle(velocity), axis=1), seconds, axis=1)).ravel()
+    velocity = velocity.ravel()
     used = samples_in_maps(path, -(-len(velocity) // _MOST_SAMPLES))
     seen = coverage.of_samples(pointing, used)
-    return _Track(velocity[used], seen.noise, seen.places, False)
+    curvature = turning[used] / np.maximum(np.abs(velocity[used]), _SLOWEST_RAD_S)
+    return _Track(velocity[used], curvature, seen.noise, seen.places, False)
 
 
 def _speed_nodes(tracks: list[_Track]) -> tuple[np.ndarray, np.ndarray]:
@@ -146,6 +157,14 @@ def _speed_nodes(tracks: list[_Track]) -> tuple[np.ndarray, np.ndarray]:
     part = np.digitize(speed, bounds)
     sums = [np.bincount(part, item, _SPEEDS) for item in (weight[order] * speed, weight[order])]
     return bounds, sums[0] / sums[1]
+
+
+def _curvatures(tracks: list[_Track]) -> np.ndarray:
+    """Quantiles of equal weight in the noise of the curvature along all tracks."""
+    curvature = np.concatenate([track.curvature for track in tracks])
+    order = np.argsort(curvature)
+    until = np.cumsum(np.concatenate([track.noise for track in tracks])[order])
+    return curvature[order][np.searchsorted(until, until[-1] * (np.arange(_CURVATURES) + 0.5) / _CURVATURES)]
 
 
 def _nodes(track: _Track, part: np.ndarray, n_speed: int) -> tuple[np.ndarray, np.ndarray]:

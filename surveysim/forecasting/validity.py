@@ -8,10 +8,10 @@ import numpy as np
 from surveysim.forecasting.mode_response import PROJECTIONS
 from surveysim.forecasting.observing_conditions import ObservingConditions
 from surveysim.forecasting.pilot import KeptScans
+from surveysim.forecasting.track_motions import TrackMotions
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.scored_region import ScoredRegion
 from surveysim.reduction.setup import Setup
-from surveysim.scene.scan_section import ScanSection
 from surveysim.scene.scene import Scene
 from surveysim.survey.discarded_scans import MOST_DISCARDED
 from surveysim.timestreams.crosstalk import CrosstalkMatrix
@@ -27,6 +27,7 @@ _PIXEL_REACH = 0.75  # of the map pixel's Nyquist multipole
 # Fraction of the layer's noise that forecasts lack. It was 20, 30, 32, 33 and 35 % in surveys of 115 detectors in which
 # the layer makes 30, 100, 57, 27 and 46 % of the noise.
 _STRIPES = 0.33
+_SCATTERED = 0.07  # least fraction of the mean noise of all multipoles that is scattered to each
 _APPROXIMATE = {"wind": "shifted along the wind", "pca": "by principal components"}  # taken as average subtraction
 
 
@@ -71,6 +72,8 @@ class EffectInputs:
         Fraction of sigma(A)^-2 from each bin.
     hits : (n, n)
         Mean hits of an observation on the scored patch.
+    tracks
+        Velocities and curvature along the tracks of the boresight.
     """
 
     pipeline: CleaningPipeline
@@ -82,6 +85,12 @@ class EffectInputs:
     layer: np.ndarray
     share: np.ndarray
     hits: np.ndarray
+    tracks: TrackMotions
+
+    @property
+    def co_added(self) -> np.ndarray:
+        """Noise (n_bin,) of the co-added observations, up to a factor."""
+        return self.weight**2 * self.kept.share @ self.noise
 
     @property
     def layer_share(self) -> np.ndarray:
@@ -128,9 +137,9 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
     if inputs.pipeline.takes_responsivities:
         yield _discarded(inputs.kept)
     if setup.scene.turbulent:
-        yield _repeated_layer(setup.scene.scan, setup.camera.radius_rad, inputs)
+        yield _repeated_layer(setup, inputs)
         if inputs.pipeline.steps != ("none",):
-            yield _stripes(inputs)
+            yield _stripes(inputs) if inputs.tracks.straight else _scattered(setup.analysis.region, inputs)
         if (name := inputs.pipeline.label) in _APPROXIMATE:
             sentence = (
                 f"Cleaning {_APPROXIMATE[name]} is approximated by average subtraction, with an unknown difference."
@@ -142,6 +151,8 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
         yield _lost_samples(setup.scene, inputs)
     if templates := len(PROJECTIONS[inputs.pipeline.label]):
         yield _few_detectors(templates, inputs.n_det)
+    if not inputs.tracks.straight:
+        yield _curvature(setup.analysis.region, inputs)
     yield _uneven_coverage(setup.analysis.region, inputs.hits)
     yield _weights(setup.analysis.region, inputs)
     yield _low_multipoles(setup, inputs.share)
@@ -160,8 +171,19 @@ def _discarded(kept: KeptScans) -> NeglectedEffect:
     return NeglectedEffect("discarded scans", share, sentence, share > MOST_DISCARDED)
 
 
-def _repeated_layer(path: ScanSection, radius_rad: float, inputs: EffectInputs) -> NeglectedEffect:
-    """Size of the layer's noise where consecutive scans see the same air, which the forecast takes as independent.
+def _return_s(setup: Setup, tracks: TrackMotions) -> float:
+    """Time after which a track comes back to the same part of the scored patch, about.
+
+    Scans come back in the next scan, curved tracks after twice the width of the patch.
+    """
+    scan = setup.scene.scan
+    if tracks.straight:
+        return scan.duration_s + scan.turnaround_s
+    return 2 * setup.scene.score.size_rad / scan.speed_rad_s
+
+
+def _repeated_layer(setup: Setup, inputs: EffectInputs) -> NeglectedEffect:
+    """Size of the layer's noise where the track sees the same air again, which the forecast takes as independent.
 
     Without cleaning it is the whole layer: the trends of consecutive scans are alike in any wind.
     """
@@ -169,10 +191,10 @@ def _repeated_layer(path: ScanSection, radius_rad: float, inputs: EffectInputs) 
     if inputs.pipeline.steps == ("none",):
         size, where = float(parts.sum()), "Scans share trends of the layer in any wind"
     else:
-        travel = inputs.conditions.winds_rad_s * (path.duration_s + path.turnaround_s)
+        travel = inputs.conditions.winds_rad_s * _return_s(setup, inputs.tracks)
         amplitude = inputs.conditions.layers
         total = amplitude.sum(axis=0)
-        alike = np.sum(amplitude, axis=0, where=travel < 2 * radius_rad)
+        alike = np.sum(amplitude, axis=0, where=travel < 2 * setup.camera.radius_rad)
         slow = np.divide(alike, total, out=np.zeros_like(total), where=total > 0)
         size = float(parts @ slow)
         where = f"In {_percent(slow.mean())} of the observations consecutive scans see the same part of the layer"
@@ -189,6 +211,31 @@ def _stripes(inputs: EffectInputs) -> NeglectedEffect:
         f" steps are neglected, about {_percent(size)} of the noise."
     )
     return NeglectedEffect("stripes", size, sentence, size > LARGE)
+
+
+def _scattered(region: ScoredRegion, inputs: EffectInputs) -> NeglectedEffect:
+    """Noise of other multipoles that uneven coverage and the trends that chunks share scatter to the scored ones."""
+    counts, noise = region.rings.n_modes, inputs.co_added
+    mean = counts @ noise / counts.sum()
+    beyond = np.divide(mean, noise, out=np.ones_like(noise), where=noise > 0) - 1
+    coverage, _ = _unevenness(region, inputs.hits)
+    size = max(0.0, float(max(_SCATTERED, coverage) * (beyond @ inputs.share)))
+    sentence = (
+        f"Uneven coverage and trends of the layer that chunks share scatter noise of all multipoles to the scored ones,"
+        f" about {_percent(size)} of their noise, which the forecast neglects."
+    )
+    return NeglectedEffect("scattered noise", size, sentence, size > LARGE)
+
+
+def _curvature(region: ScoredRegion, inputs: EffectInputs) -> NeglectedEffect:
+    """Fraction of the noise from parts of the track that turn by more than a radian in a wavelength of the modes."""
+    ell = float(region.rings.ell @ inputs.share)
+    size = float(np.mean(inputs.tracks.curvature * 2 * np.pi / ell > 1))
+    sentence = (
+        f"The forecast takes the track as straight over a wavelength of the scored multipoles, about ell = {ell:.0f};"
+        f" {_percent(size)} of the noise is from parts that turn by more than a radian in it."
+    )
+    return NeglectedEffect("curved track", size, sentence, size > LARGE)
 
 
 def _crosstalk(setup: Setup, pipeline: CleaningPipeline) -> NeglectedEffect:
@@ -229,13 +276,18 @@ def _few_detectors(templates: int, n_det: int) -> NeglectedEffect:
 
 def _uneven_coverage(region: ScoredRegion, hits: np.ndarray) -> NeglectedEffect:
     """Excess of the mean of 1 / hits over that of uniform coverage, which couples multipoles."""
-    weight, covered = region.taper**2, hits > 0
-    mean = np.average(hits[covered], weights=weight[covered])
-    size = float(np.average(mean / hits[covered], weights=weight[covered]) - 1)
-    missed = float(1 - weight[covered].sum() / weight.sum())
+    size, missed = _unevenness(region, hits)
     sentence = f"Uneven coverage raises the noise by {_percent(size)}, which the forecast takes as equal at all ell"
     sentence += f"; {_percent(missed)} of the map has no hits." if missed > 0 else "."
     return NeglectedEffect("uneven coverage", size, sentence, size > MOST_UNEVEN or missed > LARGE)
+
+
+def _unevenness(region: ScoredRegion, hits: np.ndarray) -> tuple[float, float]:
+    """Excess of the mean of 1 / hits over that of uniform coverage, and fraction of the map without hits."""
+    weight, covered = region.taper**2, hits > 0
+    mean = np.average(hits[covered], weights=weight[covered])
+    excess = np.average(mean / hits[covered], weights=weight[covered]) - 1
+    return float(excess), float(1 - weight[covered].sum() / weight.sum())
 
 
 def _weights(region: ScoredRegion, inputs: EffectInputs) -> NeglectedEffect:

@@ -229,7 +229,8 @@ def _ecsv_columns(lines: list[str]) -> _Columns:
     try:
         table = ecsv_table(lines)
     except InputError:
-        rows = csv.reader((line for line in lines if not line.startswith("#")), delimiter=" ", skipinitialspace=True)
+        left = [line for line in lines if line.strip() and not line.startswith("#")]
+        rows = csv.reader(left, delimiter="," if "," in "".join(left[:1]) else " ", skipinitialspace=True)
         for _ in _numbers(next(rows, []), rows):
             pass  # names the row that is wrong, if one is
         raise

@@ -14,7 +14,7 @@ import numpy as np
 from tests.fuzz.mangle import NUMBERS, ODD, ODD_QUANTITIES, Raw, mangled_bytes, mangled_tokens, pick, scene_text
 from tests.fuzz.outcomes import Outcome, call, check, outcome_of_end
 from tests.fuzz.units import Unreadable, quantities, quantity
-from tests.scenes import SCHEDULE, SMALL_SCENE, without_sections
+from tests.scenes import SCHEDULE, SMALL_SCENE, with_scan, without_sections
 
 POSITIONS = """\
 # %ECSV 1.0
@@ -36,6 +36,26 @@ SITE = """\
 site = "mauna_kea"
 spectral_index = "11/3"
 illuminated_aperture = "8 m"
+"""
+DAISY = """\
+pattern = "daisy"
+radius = "6 arcmin"
+radial_period = "10 s"
+duration = "30 s"
+chunk = "7.5 s"
+dither = "2 arcmin"
+sample_rate = "10 Hz"
+
+[scan.lissajous]
+amplitude_x = "1 arcmin"
+amplitude_y = "1 arcmin"
+period_x = "31 s"
+period_y = "43 s"
+"""
+MOUNT = """
+[telescope]
+max_azimuth_velocity = "3 deg / s"
+max_elevation_acceleration = "1 deg / s2"
 """
 LOAD = """\
 [photon]
@@ -73,6 +93,7 @@ def texts() -> list[str]:
         ),
         site + SCHEDULE + SITE + LOAD,
         table.replace("mask_separation_f_lambda = 1.3\n", ""),
+        with_scan(SMALL_SCENE, DAISY) + MOUNT,
     ]
 
 
@@ -86,10 +107,10 @@ def schema_keys() -> list[tuple[str, ...]]:
                 a for a in (field.annotation, *getattr(field.annotation, "__args__", ())) if hasattr(a, "model_fields")
             ]
             yield (*path, field.alias or name)
-            if below and len(path) < 3:
-                yield from walk(below[0], (*path, field.alias or name))
+            for item in below if len(path) < 3 else ():
+                yield from walk(item, (*path, field.alias or name))
 
-    return [path for path in walk(Scene, ()) if path[0] != "assumed"]
+    return list(dict.fromkeys(path for path in walk(Scene, ()) if path[0] != "assumed"))
 
 
 def key_units() -> dict[tuple[str, ...], str]:
@@ -99,7 +120,7 @@ def key_units() -> dict[tuple[str, ...], str]:
     schema = Scene.model_json_schema(by_alias=True)
 
     def parts(item: dict) -> Iterator[dict]:
-        for part in (item, *item.get("anyOf", ())):
+        for part in (item, *item.get("anyOf", ()), *item.get("oneOf", ())):
             yield schema["$defs"][part["$ref"].rsplit("/", 1)[1]] if "$ref" in part else part
 
     def walk(item: dict, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str]]:

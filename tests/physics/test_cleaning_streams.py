@@ -148,7 +148,7 @@ def test_scans_that_go_along_with_the_wind_hold_nothing_to_fit_to(monkeypatch):
     relative = np.linalg.norm(pointing.velocity_rad_s - layer, axis=-1) / np.linalg.norm(layer, axis=-1)
     along = relative < 0.1
     assert weather.b2 > BAD_MK2 and along.sum() == 13 and relative[~along].min() > 1.9
-    monkeypatch.setattr("surveysim.timestreams.observed_block.survey_weather", lambda *scene, when: weather)
+    monkeypatch.setattr("surveysim.timestreams.observed_block.survey_weather", lambda *scene, dated: weather)
     kept = []
     for seed in range(25):
         streams = draw_observation(prepare(scene.model_copy(update={"seed": seed})), 5)

@@ -72,7 +72,8 @@ def test_scan_velocities_are_those_of_the_raster():
     for observation in (0, 1):
         _, pointing = observation_path(setup.observing, observation)
         found = scan_velocities(draw_observation(setup, observation)) @ [1, 1j]
-        expected = to_array(pointing.scan_array_angle_rad, *pointing.velocity_rad_s.T)
+        middle = pointing.array_angle_rad.reshape(len(pointing.velocity_rad_s), -1)[:, 75]
+        expected = to_array(middle, *pointing.velocity_rad_s.T)
         assert np.abs(found - expected).max() < 1e-3 * np.abs(expected).max()
 
 

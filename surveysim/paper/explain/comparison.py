@@ -52,10 +52,11 @@ def compared(finding: Finding, surveys: Sequence[Values]) -> list[Entry]:
 
 
 def agrees(finding: Finding, value: float, error: float) -> bool:
-    """Return whether a value is within two errors, or a fifth, of the paper's."""
-    known = [item for item in (error, finding.paper_error) if math.isfinite(item)]
+    """Return whether a value is within two errors of the paper's, or a fifth of it where the paper gives no error."""
+    if math.isfinite(finding.paper_error):
+        return finding.gap(value) <= SIGMAS * math.hypot(error, finding.paper_error)
     nearest = min(max(value, finding.paper[0]), finding.paper[1])
-    return finding.gap(value) <= max(SIGMAS * math.hypot(*known), SHARE * abs(nearest))
+    return finding.gap(value) <= max(SIGMAS * error, SHARE * abs(nearest))
 
 
 def _verdict(finding: Finding, value: float, error: float, *, base: tuple[float, float], moved: float) -> str:

@@ -17,7 +17,7 @@ from surveysim.runtime.numbers import count, day_and_time, duration
 _RULE = (
     "An ingredient explains a finding if its value agrees with the paper's and that of one layer does not. It helps, or"
     " worsens, if it changes the value by more than three errors, and by more than a tenth of the gap between one layer"
-    " and the paper. Values agree within two errors, or within 20 % of the paper's."
+    " and the paper. Values agree within two errors, or within 20 % where the paper gives no error."
 )
 _PAIRED = "All surveys have the same random numbers. Errors are from resampling the observations, alike in all surveys."
 

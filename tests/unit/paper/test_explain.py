@@ -121,6 +121,7 @@ def test_differences_are_paired():
         (5.0, np.nan, 0.3, ""),  # less than a tenth of the gap
         (0.0, np.nan, 2.0, "worsens"),
         (0.0, 2.0, 1.0, ""),  # both agree
+        (5.0, 0.1, 4.5, "helps"),  # a fifth is no agreement where the error is known
     ],
 )
 def test_verdicts(paper, error, shift, verdict):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mapmaker.geometry import boresight_pixels, pixel_indices
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
@@ -13,6 +14,7 @@ from surveysim.telescope.patterns.azimuth import AzimuthSweeps, azimuth_extent, 
 from surveysim.telescope.pointing import SIDEREAL_RAD_S
 from surveysim.telescope.scans import duration_s
 from surveysim.telescope.turnarounds import Turnaround
+from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.simulation import observation_path
 from tests.scenes import SCHEDULE, WHITE_NOISE_SCENE, with_scan, without_sections
 
@@ -95,6 +97,26 @@ def test_the_extent_holds_rising_and_setting_scans():
     assert azimuth_extent(scans, 0.5) < 2 * reach
 
 
+def test_hits_of_the_boresight_are_uniform_where_the_field_drifts_through():
+    """Density in closed form: samples a length along a sweep, over the distance between sweeps across it."""
+    scans = sweeps(sweep_rad_s=0.2 * DEG, speed_rad_s=0.2 * DEG, n_scans=100, sample_rate_hz=100.0)
+    path = azimuth_path(scans, 0, NO_DITHER, RISING)
+    _, _, vertical = to_horizon(RISING, np.array([duration_s(scans) / 2]), np.zeros(1), np.zeros(1))
+    # Along a sweep, and across it: the drift is along xi. The vertical turns while the field drifts.
+    across = SIDEREAL_RAD_S * np.cos(FIELD.dec_rad) * abs(np.sin(vertical[0]))
+    density = 100.0 / (0.2 * DEG * across * 13.0)
+    cos, sin = np.cos(vertical[0]), np.sin(vertical[0])
+    along = -path.xi_rad * cos + path.eta_rad * sin
+    over = path.xi_rad * sin + path.eta_rad * cos
+    half = across * duration_s(scans) / 2
+    hits, x, y = np.histogram2d(along, over, (6, 6), ((-0.6 * DEG, 0.6 * DEG), (-0.6 * half, 0.6 * half)))
+    expected = density * (x[1] - x[0]) * (y[1] - y[0])
+    assert hits.mean() == pytest.approx(expected, rel=0.005)
+    np.testing.assert_allclose(hits, expected, rtol=0.01)
+    # Sweeps end at half a throw, 1 degree, on lines that turn.
+    assert np.abs(along).max() == pytest.approx(DEG, rel=0.05)
+
+
 @pytest.fixture
 def scene_of(tmp_path):
     path = tmp_path / "scene.toml"
@@ -116,6 +138,17 @@ def test_hits_are_uniform_along_the_sweeps_and_widen_by_the_drift(scene_of):
     assert counts.sum() == kept.sum() and np.ptp(counts) <= 2 * setup.observing.scans.n_scans
     # Turnarounds: 2 v / a = 2 s beside sweeps of 8 s.
     assert np.mean(pointing.flagged) == pytest.approx(0.2)
+
+
+def test_saved_streams_are_mapped_as_simulated_ones(scene_of):
+    """From the boresight and the position angle of a file alone; samples in turnarounds are off the map."""
+    setup = prepare(scene_of(turnarounds="flagged"))
+    _, pointing = observation_path(setup.observing, 2)
+    at = pointing.xi_rad, pointing.eta_rad, pointing.array_angle_rad
+    expected = boresight_pixels(setup.analysis.geometry, *at, plane=setup.camera.focal_plane)
+    assert (expected >= 0).all()
+    expected[:, pointing.flagged] = -1
+    np.testing.assert_array_equal(pixel_indices(setup.analysis.geometry, draw_observation(setup, 2)), expected)
 
 
 def test_observations_of_a_night_have_centres_of_their_own(scene_of):
