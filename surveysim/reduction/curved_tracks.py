@@ -26,7 +26,7 @@ def curved_motions(
 
     numbers = {0, min(1, scene.observations - 1)}
     if times is not None:
-        elevation = near_angles(observing_site(scene), times, mid_times(scans))[0].mean(axis=1)
+        elevation = near_angles(observing_site(scene), times, mid_times(scans).mean(keepdims=True))[0]
         numbers |= {int(elevation.argmin()), int(elevation.argmax())}
     horizons, motions = survey_horizons(scene, times), []
     for number in sorted(numbers):

@@ -67,8 +67,8 @@ RICH_SCENE = (
     + CAMERA
     + BOLOMETER
 )
-TURBULENT, CALM = ("[1000, 2800, 9800] mK2 rad(-5/3)", "[10, 30, 980] mK2 rad(-5/3)")
-# Points without a score, and one of few scans that loses some.
+TURBULENT, CALM = ("[1000, 2800, 9800] mK2 rad(-5/3)", "[4, 9, 20] mK2 rad(-5/3)")
+# Points without a score, and one of few scans in calm weather, which loses another number of the masked data.
 SWEEP = f"""
 [[score.metrics]]
 kind = "largest_scale"
