@@ -55,6 +55,7 @@ _SHORTEST = 1e-3  # delay from the array's centre, in samples, below which there
 _CERTAIN = 0.12  # largest relative error of a trusted wind
 _AGREE = 12.5  # chi^2 a degree of freedom that two groups of 9 scans exceed once in a thousand times
 _GOOD_FIT = 5.0  # largest reduced chi^2 of the pairs
+_CURVED = 0.1  # largest departure from a constant velocity, over the length of the scan
 _FAST = 2.5  # least ratio of wind to scan speed
 
 
@@ -124,7 +125,8 @@ def scan_velocities(streams: Timestreams) -> np.ndarray:
     Raises
     ------
     ValueError
-        For a scan of one sample.
+        For a scan of one sample, and for scans that are not straight: the boresight departs from a constant velocity by
+        more than a tenth of the scan's length and half of a beam.
     """
     from mapmaker.geometry import MapGeometry, mean_direction, north_angle, plane_offsets
 
@@ -139,10 +141,25 @@ def scan_velocities(streams: Timestreams) -> np.ndarray:
             )
         t = streams.time_s[start:stop] - streams.time_s[start:stop].mean()
         xi, eta = sky[:, start:stop] @ t / (t @ t)
+        _check_straight(sky[:, start:stop], t, np.array([xi, eta]), streams.focal_plane.fwhm_rad, start)
         angle = angles[(start + stop) // 2]
         cos, sin = np.cos(angle), np.sin(angle)
         velocity.append((-xi * cos + eta * sin, xi * sin + eta * cos))
     return np.array(velocity).reshape(-1, 2)
+
+
+def _check_straight(
+    sky_rad: np.ndarray, t: np.ndarray, velocity_rad_s: np.ndarray, fwhm_rad: float, start: int
+) -> None:
+    """Raise OutOfRangeError for a scan (2, n) that begins with the sample `start` and is far from straight."""
+    departure = sky_rad - velocity_rad_s[:, None] * t
+    departure = np.hypot(*(departure - departure.mean(axis=1, keepdims=True))).max()
+    length = np.hypot(*velocity_rad_s) * (t[-1] - t[0])
+    if departure > _CURVED * length + fwhm_rad / 2:
+        raise OutOfRangeError(
+            f"scan: found a scan, {start}, whose boresight departs by {np.degrees(departure) * 60:.3g} arcmin from a"
+            f" constant velocity; {np.degrees(_CURVED * length + fwhm_rad / 2) * 60:.3g} arcmin or less are expected"
+        )
 
 
 def measure_wind(

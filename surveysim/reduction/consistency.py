@@ -20,12 +20,9 @@ from surveysim.reduction.scored_region import FAINTEST, padded_side
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.numbers import plural
 from surveysim.scene.scene import Scene
-from surveysim.telescope.directions import Site
 from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.noise_levels import WhiteLevels, white_levels
-from surveysim.telescope.patterns.azimuth import AzimuthSweeps, half_throw_rad
-from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, near_angles
-from surveysim.telescope.scans import Scans, mid_times, samples_per_scan
+from surveysim.telescope.scans import Scans, samples_per_scan
 from surveysim.timestreams.lost_data import most_dead
 
 MAX_REACH_RAD = math.radians(15)
@@ -33,11 +30,7 @@ MAX_SIDE_PIXELS = 16_384
 MAX_DETECTOR_SAMPLES = 1e11  # an hour of 100,000 detectors at 200 Hz and more: hours of computing
 MAX_SAMPLES = 1e8  # boresight samples of an observation, all in memory
 MAX_SURVEY_SCANS = 2e6  # ephemerides of more scans take many minutes
-SCANS_AT_ONCE = 200_000  # scans whose angles are checked together
 MAX_COEFFICIENTS = 3e7  # coefficients of a curved sky: 2 GB of memory, minutes of computing
-MAX_TURN_BEAMS = 0.1  # largest motion of the array's edge by the rotation of the sky in half a scan, in beams
-MAX_AIRMASS_CHANGE = 0.02  # largest relative change in half a scan: 2.7 % of the layer's amplitude at an index of 11/3
-MAX_THROW_RAD = math.pi  # of a sweep in azimuth: longer ones turn about the zenith
 FEW_MODES = 64  # modes along an axis among which an empty bin is found, if there is one
 MOST_BINS = 1_000_000
 MAX_MODES = 10_000  # the eigenvalues of so many take some minutes a scan
@@ -142,10 +135,9 @@ def check_size(scene: Scene, n_det: int, extent_rad: float) -> None:
     `extent_rad` is the largest offset of a sample from the centre of the field, along either axis.
     """
     scan = scene.scan
-    if extent_rad > MAX_REACH_RAD:
-        found = f"{math.degrees(extent_rad):.4g}" if math.isfinite(extent_rad) else "90 or more"
+    if (reach_rad := math.atan(extent_rad)) > MAX_REACH_RAD:
         raise SceneError(
-            f"scan: found a map that reaches {found} deg from its centre with this scan, "
+            f"scan: found a map that reaches {math.degrees(reach_rad):.4g} deg from its centre with this scan, "
             f"dither and camera; {math.degrees(MAX_REACH_RAD):g} deg or less is expected"
         )
     side = 2 * extent_rad / scene.map.pixel_rad
@@ -166,102 +158,6 @@ def check_size(scene: Scene, n_det: int, extent_rad: float) -> None:
         raise SceneError(
             f"observations: found {scene.observations * scan.scans:.3g} scans in all; "
             f"{MAX_SURVEY_SCANS:g} or less are expected"
-        )
-
-
-def check_motion(scene: Scene, cam: Camera, site: Site, starts: Schedule, scans: Scans) -> float:
-    """Raise SceneError where the pointing departs too far from the model of the layer or from sweeps in azimuth.
-
-    A straight scan has the layer at one airmass and one array angle. Exact angles are computed only for scans that may
-    exceed the limits at the largest possible rates for their elevation. Other patterns have angles of each sample.
-
-    Returns
-    -------
-    float
-        Lowest elevation [rad] of all scans.
-    """
-    mid_time_s = mid_times(scans)
-    lowest = math.inf
-    step = max(1, SCANS_AT_ONCE // len(mid_time_s))
-    for first in range(0, len(starts.start_mjd), step):
-        some = np.arange(first, min(first + step, len(starts.start_mjd)))
-        elevation, parallactic = near_angles(site, starts.some(some), mid_time_s)
-        lowest = min(lowest, float(elevation.min()))
-        if isinstance(scans, AzimuthSweeps):
-            _check_throw(scans, float(elevation.max()))
-        if not scans.straight:
-            continue
-        _check_some_motion(
-            scene,
-            cam,
-            site,
-            starts,
-            mid_time_s=mid_time_s,
-            which=some,
-            elevation_rad=elevation,
-            parallactic_rad=parallactic,
-        )
-    return lowest
-
-
-def _check_some_motion(
-    scene: Scene,
-    cam: Camera,
-    site: Site,
-    starts: Schedule,
-    *,
-    mid_time_s: np.ndarray,
-    which: np.ndarray,
-    elevation_rad: np.ndarray,
-    parallactic_rad: np.ndarray,
-) -> None:
-    """Check the observations `which` (n,) with mid-scan angles (n, n_scan)."""
-    half_s = scene.scan.duration_s / 2
-    most_up_rad = half_s * SIDEREAL_RAD_S * math.cos(site.latitude_rad)
-    most_turn_rad = most_up_rad / np.cos(np.minimum(elevation_rad + most_up_rad, math.pi / 2))
-    most_airmass = np.sin(elevation_rad) / np.sin(np.maximum(elevation_rad - most_up_rad, 1e-3)) - 1
-    allowed_rad = MAX_TURN_BEAMS * scene.instrument.beam_fwhm_rad
-    doubtful = (most_turn_rad * cam.radius_rad > allowed_rad) | (most_airmass > MAX_AIRMASS_CHANGE)
-    rows = np.flatnonzero(doubtful.any(axis=1))
-    for side in (-half_s, half_s):
-        end_up, end_angle = near_angles(site, starts.some(which[rows]), mid_time_s + side)
-        turn = np.abs((end_angle - parallactic_rad[rows] + math.pi) % (2 * math.pi) - math.pi)
-        change = np.abs(np.sin(elevation_rad[rows]) / np.sin(np.maximum(end_up, 1e-3)) - 1)
-        wrong = (turn * cam.radius_rad > allowed_rad) | (change > MAX_AIRMASS_CHANGE)
-        for place in np.flatnonzero(wrong.any(axis=1))[:1]:
-            number, up = int(which[rows[place]]), elevation_rad[rows[place]]
-            _check_turn(number, up, turn[place], cam.radius_rad, allowed_rad)
-            _check_airmass(number, up, change[place])
-
-
-def _check_throw(scans: AzimuthSweeps, up_rad: float) -> None:
-    throw_rad = 2 * half_throw_rad(scans) / (1.0 if scans.in_azimuth else max(math.cos(up_rad), 1e-9))
-    if throw_rad > MAX_THROW_RAD:
-        raise SceneError(
-            f"scan.throw: found sweeps of {math.degrees(throw_rad):.4g} deg in azimuth with their turnarounds, at"
-            f" {math.degrees(up_rad):.1f} deg elevation; {math.degrees(MAX_THROW_RAD):g} deg or less is expected"
-        )
-
-
-def _check_turn(number: int, up_rad: np.ndarray, turn_rad: np.ndarray, radius_rad: float, allowed_rad: float) -> None:
-    worst = int(np.argmax(turn_rad))
-    if turn_rad[worst] * radius_rad > allowed_rad:
-        raise SceneError(
-            f"scan.duration: found scans of observation {number}, at {math.degrees(up_rad[worst]):.1f} deg elevation,"
-            f" during which the sky turns by {math.degrees(turn_rad[worst]):.2g} deg in half a scan and the array's"
-            f" edge moves by {math.degrees(turn_rad[worst] * radius_rad) * 3600:.3g} arcsec; {MAX_TURN_BEAMS:g} of a"
-            f" beam, {math.degrees(allowed_rad) * 3600:.3g} arcsec, or less is expected: shorter scans, or a field that"
-            " stays away from the zenith"
-        )
-
-
-def _check_airmass(number: int, up_rad: np.ndarray, change: np.ndarray) -> None:
-    worst = int(np.argmax(change))
-    if change[worst] > MAX_AIRMASS_CHANGE:
-        raise SceneError(
-            f"scan.duration: found scans of observation {number}, at {math.degrees(up_rad[worst]):.1f} deg elevation,"
-            f" in half of which the airmass changes by {change[worst]:.2g} of itself; {MAX_AIRMASS_CHANGE:g} or less is"
-            " expected: shorter scans, or a higher schedule.min_elevation"
         )
 
 

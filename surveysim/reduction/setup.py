@@ -21,7 +21,6 @@ from surveysim.reduction.consistency import (
     check_healpix,
     check_levels,
     check_masked,
-    check_motion,
     check_score,
     check_size,
     check_sky,
@@ -32,6 +31,7 @@ from surveysim.reduction.consistency import (
 from surveysim.reduction.curved_tracks import curved_motions
 from surveysim.reduction.detector_weights import beams_of, detector_weights
 from surveysim.reduction.layer_checks import check_changes
+from surveysim.reduction.motion_checks import check_motion
 from surveysim.reduction.mount_check import check_mount
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
 from surveysim.reduction.response_checks import check_response
@@ -223,7 +223,7 @@ def _prepare(scene: Scene) -> Setup:
     scene_pipelines = pipelines(scene.cleaning, masked)
     _check_blocks(scene, common, scene_pipelines)
     drawn = _simulation(scene, common)
-    lowest = _lowest(scene, cam, common.times, scans)
+    lowest = _lowest(scene, common.times, scans)
     weight = detector_weights(drawn.camera, check_levels(scene, drawn.air.water, lowest))
     check_sources(scene, common.sky_geometry)
     others = _others(scene, common) if "spectral" in scene.cleaning.named else ()
@@ -328,11 +328,11 @@ def _geometry(scene: Scene, extent_rad: float, pixel_rad: float) -> MapGeometry:
     return covering_geometry(scene.field.ra_rad, scene.field.dec_rad, pixel_rad, extent_rad)
 
 
-def _lowest(scene: Scene, cam: Camera, times: Schedule | None, scans: Scans) -> float:
+def _lowest(scene: Scene, times: Schedule | None, scans: Scans) -> float:
     """Lowest elevation of the field at all scans [rad]; raises SceneError where the sky moves too far within one."""
     if times is None:
         return scene.fixed_pointing.elevation_rad
-    return check_motion(scene, cam, observing_site(scene), times, scans)
+    return check_motion(scene, observing_site(scene), times, scans)
 
 
 def _water(scene: Scene, dated: DatedWeather | None) -> Water | None:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from surveysim.runtime.numbers import number, short, with_error
+from surveysim.runtime.numbers import short, with_error
 from surveysim.runtime.table import Column, Table, column, file_column
 
 EXPLAINS, HELPS, WORSENS = "explains", "helps", "worsens"
@@ -68,7 +68,7 @@ def second_layer_table(content: Content) -> Table:
     """Return a row for each angle and share of a second layer, with the trusted winds of each half of the weather."""
     rows = content["second_layer"]
     columns = [
-        column("turn", [row["turn_deg"] for row in rows], "angle [deg]", number, unit="deg"),
+        column("turn", [row["turn_deg"] for row in rows], "angle [deg]", short, unit="deg"),
         column("share", [row["share"] for row in rows], "share of B2", short),
     ]
     for half, title in (("better", "trusted, better half of B2"), ("poorer", "trusted, poorer half of B2")):

@@ -58,6 +58,20 @@ class ScanSection(Section):
         """Time between two scans."""
         return self.turnaround_s
 
+    def check_observations(self, number: int, scheduled: bool) -> None:
+        """Raise ValueError for short scans, more observations than the pattern has, and a horizon without dates."""
+        if not scheduled and self.needs_horizon:
+            raise ValueError(
+                f"scan.{self.needs_horizon} with [fixed_pointing]; a section [schedule] is expected in its place"
+            )
+        most = self.most_observations
+        if most is not None and number > most:
+            raise ValueError(f"observations: found {number}; {most} or fewer are expected, as in scan.track_table")
+        if (samples := self.duration_s * self.sample_rate_hz) < MIN_SAMPLES:
+            raise ValueError(
+                f"{self.duration_key}: found {samples:.3g} samples a scan; {MIN_SAMPLES} or more are expected"
+            )
+
     if TYPE_CHECKING:
 
         @property

@@ -35,8 +35,7 @@ from surveysim.scene.place import Place, SiteSection, own_place, shipped_place, 
 from surveysim.scene.readout import ReadoutSections
 from surveysim.scene.renamed_keys import renamed_lines
 from surveysim.scene.response import ResponseSections
-from surveysim.scene.scan_patterns import AnyScan, RasterScan
-from surveysim.scene.scan_section import MIN_SAMPLES
+from surveysim.scene.scan_patterns import AnyScan
 from surveysim.scene.section import Section
 from surveysim.scene.shipped import MAX_NAME, NAME, find_scene, is_name, no_such_scene
 from surveysim.scene.sites import OWN
@@ -145,12 +144,6 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
     def _sections_fit(self) -> Self:
         if (self.schedule is None) == (self.fixed_pointing is None):
             raise ValueError("exactly one of the sections 'schedule' and 'fixed_pointing' is expected")
-        if self.fixed_pointing and (found := self.scan.needs_horizon):
-            raise ValueError(f"scan.{found} with [fixed_pointing]; a section [schedule] is expected in its place")
-        if (most := self.scan.most_observations) is not None and self.observations > most:
-            raise ValueError(
-                f"observations: found {self.observations}; {most} or fewer are expected, as in scan.track_table"
-            )
         if self.excess and len(self.excess.b2) > 1 and self.atmosphere is None:
             raise ValueError("excess.b2: found several values; without [atmosphere] one value is expected")
         if self.atmosphere and self.atmosphere.site and not self.instrument.band.width_hz:
@@ -164,9 +157,7 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
         if not any(getattr(self, name) for name in StreamSections.model_fields):
             *names, last = StreamSections.model_fields
             raise ValueError(f"at least one of {', '.join(names)} and {last} is expected")
-        if (samples := self.scan.duration_s * self.scan.sample_rate_hz) < MIN_SAMPLES:
-            key = self.scan.duration_key
-            raise ValueError(f"{key}: found {samples:.3g} samples a scan; {MIN_SAMPLES} or more are expected")
+        self.scan.check_observations(self.observations, self.schedule is not None)
         return self
 
     def _readout_fits(self) -> None:
@@ -350,8 +341,6 @@ def survey_hash(scene: Scene) -> str:
 def _content(scene: Scene, excluded: Mapping[str, Any]) -> dict[str, Any]:
     """Values of a scene without some keys; of other bands all that the results depend on."""
     content = scene.model_dump(exclude={**excluded, "band": True, "optimise": True, "telescope": True})
-    if isinstance(scene.scan, RasterScan):
-        del content["scan"]["pattern"]  # as of scenes from before there were other patterns
     if scene.band is None:
         return content
     return content | {"band": scene.band.name, "others": [_of_other(scene, other, excluded) for other in scene.others]}

@@ -43,7 +43,7 @@ def limit_excess(section: TelescopeSection, motion: Motion, observation: int) ->
         Error about it: key, found, where and when, allowed.
     """
     worst = (0.0, "")
-    for axis in AXES:
+    for axis in AXES if len(motion.time_s) > 1 else ():
         found = derivatives(motion.time_s, getattr(motion, f"{axis}_rad"))
         for order, (time_s, values) in enumerate(found, start=1):
             limit = section.limit(axis, order)

@@ -6,7 +6,6 @@ import numpy as np
 
 from mapmaker.geometry import sky_offsets
 from mapmaker.timestreams import scan_bounds
-from surveysim.atmosphere.curved_tracks import add_along_curves, curved_tracks, horizon_vector, layer_positions
 from surveysim.atmosphere.layers import Layer
 from surveysim.telescope.pointing import Pointing
 from surveysim.timestreams.layer_views import AzElVector, LayerScans, mean_azimuth, moved
@@ -17,6 +16,7 @@ def curved_scans(
     layer: Layer, setup: Simulation, pointing: Pointing, wind_rad_s: AzElVector, *, b2: float
 ) -> LayerScans:
     """Place scans with curved tracks over a layer of some amplitude B2."""
+    from surveysim.atmosphere.curved_tracks import add_along_curves, curved_tracks, horizon_vector, layer_positions
     from surveysim.atmosphere.scan_trends import strip_points
 
     bounds = scan_bounds(pointing.scan)

@@ -10,6 +10,7 @@ import typer.main
 
 import mapmaker
 import surveysim
+from docs import explain_tables
 from docs.generated import command_reference, scene_reference
 from docs.generated_python import api_reference, markdown, module_reference
 from surveysim.cli.app import app
@@ -195,3 +196,8 @@ def test_tables_are_read():
     assert found["`tables/observations.ecsv`"]["wind_speed_rad_s"] == "rad / s"
     assert found["`tables/observations.ecsv`"]["wind_angle_rad"] == "rad"
     assert found["`timestreams/<NNNN>.h5`"].keys() >= {"data", "fwhm_arcsec"}
+
+
+def test_tables_of_the_explanation_are_those_of_its_run():
+    text = explain_tables.PAGE.read_text(encoding="utf-8")
+    assert explain_tables.with_tables(text) == text

@@ -23,7 +23,7 @@ from surveysim.runtime.errors import SceneError
 from surveysim.runtime.strict_json import known
 from surveysim.survey.coadds import ROW_FIELDS
 from surveysim.telescope.scans import samples_per_scan
-from tests.scenes import SMALL_SCENE
+from tests.scenes import SMALL_SCENE, with_scan
 
 LYNX = Path(__file__).parents[3] / "scenarios" / "lynx.toml"
 ARCMIN = np.radians(1 / 60)
@@ -211,6 +211,36 @@ def test_sizes_of_effects(scene_of):
         effects_of(scene_of(text, atmosphere__wind_median=f"{speed} arcmin / s"))[air].size for speed in (0.02, 60)
     )
     assert windy == 0 < still
+
+
+DAISY = 'pattern = "daisy"\nradius = "20 arcmin"\nradial_period = "20 s"\nduration = "200 s"\nchunk = "10 s"\n'
+DAISY += 'dither = "2 arcmin"\nsample_rate = "10 Hz"\n'
+CURVED = ("scattered noise", "curved track")
+
+
+@pytest.mark.parametrize(
+    "name, keys",
+    [
+        ("curved track", {"scan.radius": "2 arcmin", "score.size": "6 arcmin"}),
+        ("scattered noise", {"photon.psd": "1e-3 mK2 / Hz", "detector.psd": "1e-3 mK2 / Hz", "excess": None}),
+        ("scans that share air", {"atmosphere.wind_median": "0.1 arcmin / s", **FAINT}),
+    ],
+)
+def test_effects_of_curved_tracks_are_flagged(scene_of, name, keys):
+    """Tracks that turn within a wavelength, layers far above the other noise, and air that hardly moves in a petal."""
+    text = with_scan(SMALL_SCENE.replace("mask_separation_f_lambda = 1.3\n", ""), DAISY)
+    bright = {"atmosphere.b2": "[400, 900, 2000] mK2 rad(-5/3)", "cleaning.responsivities": "known"}
+    found = effects_of(scene_of(text, **(bright | {"score.size": "20 arcmin"} | keys)))
+    assert found[name].flagged and found[name].sentence.endswith(".")
+
+
+def test_effects_of_tracks_are_those_of_the_pattern(scene_of):
+    """Stripes are those of rasters; a wide daisy hardly turns within a wavelength."""
+    text = SMALL_SCENE.replace("mask_separation_f_lambda = 1.3\n", "")
+    raster, daisy = effects_of(scene_of(text)), effects_of(scene_of(with_scan(text, DAISY), score__size="20 arcmin"))
+    assert "stripes" in raster and not any(name in raster for name in CURVED)
+    assert "stripes" not in daisy and all(name in daisy for name in CURVED)
+    assert daisy["curved track"].size < 0.02
 
 
 # ---------------------------------------------------------------- agreement

@@ -338,3 +338,20 @@ def test_scan_velocities_across_zero_right_ascension():
     cos, sin = math.cos(turn), math.sin(turn)
     expected = 4 * ARCMIN * np.array([[-cos, sin], [sin, cos]])
     assert scan_velocities(streams) == pytest.approx(expected, abs=1e-4 * ARCMIN)
+
+
+@pytest.mark.parametrize("radius_arcmin, refused", [(0.3, False), (3.0, True)])
+def test_scans_that_are_not_straight_are_refused(radius_arcmin, refused):
+    """A circle, in two scans; one smaller than the beam is a telescope at rest."""
+    t, plane = np.arange(40) / 10, hexagon(1)
+    radius = math.radians(radius_arcmin / 60)
+    assert plane.fwhm_rad / 2 < math.radians(3 / 60)
+    ra, dec = radius * np.cos(t * 6), radius * np.sin(t * 6)
+    streams = Timestreams(np.zeros((7, 40)), t, ra % (2 * np.pi), dec, np.zeros(40), np.repeat([0, 1], 20), plane)
+    if refused:
+        with pytest.raises(
+            ValueError, match="scan: found a scan, 0, whose boresight departs by .* arcmin from a const"
+        ):
+            scan_velocities(streams)
+    else:
+        assert scan_velocities(streams).shape == (2, 2)

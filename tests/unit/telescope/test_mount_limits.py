@@ -6,7 +6,8 @@ import pytest
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene, scene_hash
-from surveysim.telescope.mount_limits import derivatives
+from surveysim.scene.telescope import TelescopeSection
+from surveysim.telescope.mount_limits import Motion, derivatives, limit_excess
 from tests.scenes import SCHEDULE, WHITE_NOISE_SCENE, with_scan, without_sections
 
 DAISY = """\
@@ -43,6 +44,15 @@ def test_derivatives_of_a_sine():
         exact = {1: np.cos, 2: lambda t: -np.sin(t), 3: lambda t: -np.cos(t)}[order](at_s)
         assert len(found) == len(time_s) - order
         np.testing.assert_allclose(found, exact, atol=0.02**2)
+
+
+def test_coarse_tracks_have_few_derivatives():
+    """Of rows 10 s apart, samples at 1 Hz are thinned to one row a step."""
+    motion = Motion(np.arange(25.0), np.arange(25.0) ** 2, np.arange(25.0)).thinned(10)
+    assert motion.time_s.tolist() == [0, 10, 20]
+    assert [len(found) for _, found in derivatives(motion.time_s, motion.azimuth_rad)] == [2, 1, 0]
+    assert derivatives(motion.time_s, motion.azimuth_rad)[1][1] == 2.0
+    assert limit_excess(TelescopeSection(max_azimuth_velocity="1 deg / s"), motion.thinned(100), 0) == (0.0, "")
 
 
 def test_turnarounds_take_the_mean_acceleration():
