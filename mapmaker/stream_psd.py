@@ -41,12 +41,6 @@ def hann_scale(n: int, sample_rate_hz: float, dtype: np.dtype) -> float:
     return 2 / (sample_rate_hz * float((_hann(n, dtype).astype(float) ** 2).sum()))
 
 
-def hann_shares(n: int) -> np.ndarray:
-    """Share (n,) of each sample of a scan in the power of its white noise in `hann_power`."""
-    squared = _hann(n, np.dtype(float)) ** 2
-    return squared / squared.sum()
-
-
 @lru_cache(maxsize=16)
 def _hann(n: int, dtype: np.dtype) -> np.ndarray:
     taper = np.hanning(n + 1)[:n].astype(dtype)

@@ -6,7 +6,7 @@ import numpy as np
 
 from mapmaker.cleaning import Cleaned
 from mapmaker.lost_samples import fill_flagged
-from mapmaker.stream_psd import hann_power, hann_scale, hann_shares
+from mapmaker.stream_psd import hann_power, hann_scale
 from surveysim.telescope.scans import Scans, samples_per_scan
 from surveysim.timestreams.observation import DrawnBlock
 
@@ -30,14 +30,14 @@ def cleaned_power(streams: DrawnBlock, rows: np.ndarray | slice, item: Cleaned) 
 def sampled_scans(streams: DrawnBlock, rows: np.ndarray | slice, kept: np.ndarray) -> np.ndarray:
     """Number (n,) of kept scans of some detectors less the part of lost samples: filled gaps have no white noise.
 
-    Each sample counts by the square of the taper of `hann_power`: turnarounds at the ends of scans hardly matter.
+    Samples count as in a periodogram, by the squared Hann taper: turnarounds at the ends of scans hardly do.
     """
     n_kept = int(kept.sum())
     if streams.flags is None or not n_kept:
         return np.full(len(streams.data_mk[rows]), float(n_kept))
     of_scans = streams.flags[rows].reshape(-1, len(kept), streams.flags.shape[1] // len(kept))
-    lost = of_scans[:, kept].mean(axis=1)
-    return n_kept * (1 - lost @ hann_shares(lost.shape[1]))
+    weight = np.hanning(of_scans.shape[-1] + 1)[:-1] ** 2
+    return (~of_scans[:, kept]).sum(axis=1) @ (weight / weight.sum())
 
 
 def cleaned_psd(streams: DrawnBlock, rows: np.ndarray | slice, item: Cleaned, scale: float) -> tuple[int, np.ndarray]:

@@ -94,17 +94,6 @@ def test_flagged_turnarounds_of_rasters_are_in_streams_and_not_in_maps(scene_of)
     assert result.flagged == pytest.approx(2 / 8)  # turnarounds of 2 s, scans of 6 s
 
 
-def test_turnarounds_do_not_raise_the_white_level(scene_of):
-    """A third of the samples is flagged, at the ends of scans, where the taper of the PSD vanishes."""
-    left_out, flagged = (prepare(scene_of(turnaround="3 s", turnarounds=kind)) for kind in ("left out", "flagged"))
-    expected, found = (
-        np.mean([observe(setup, k, False).clean_psd[10:-1].mean() for k in range(2)]) for setup in (left_out, flagged)
-    )
-    # A Hann taper correlates neighbouring frequencies: a power averages about half of them.
-    powers = 2 * left_out.camera.n_det * left_out.observing.scans.n_scans * 20 / 2
-    assert found == pytest.approx(expected, rel=5 * np.sqrt(2 / powers))
-
-
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
