@@ -46,7 +46,7 @@ def main() -> None:
         axes.set_title(title, fontsize=9)
     panels[0].set_ylabel("Offset north [arcmin]", fontsize=9)
     bar = figure.colorbar(drawn, ax=panels[-1], fraction=0.06, pad=0.04)
-    bar.set_label("Speed, of the largest", fontsize=9)
+    bar.set_label("Speed over the largest", fontsize=9)
     bar.ax.tick_params(labelsize=8)
     figure.savefig(PICTURE)
     Image.open(PICTURE).convert("RGB").quantize(256, dither=Image.Dither.NONE).save(PICTURE, optimize=True)

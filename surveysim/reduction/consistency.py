@@ -63,7 +63,7 @@ def _check_wind(scene: Scene, key: str, scans: Scans) -> None:
     if not scans.straight:
         raise SceneError(
             f"cleaning.{key}: found 'wind' with the pattern {scene.scan.pattern!r}; straight scans at constant speed,"
-            " as in a raster without turnarounds, are expected, as the delays of the layer change along others"
+            " as in a raster without turnarounds, are expected: in other scans the delays of the layer change"
         )
     if scene.scan.scans < MIN_SCANS:
         raise SceneError(

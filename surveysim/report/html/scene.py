@@ -169,7 +169,9 @@ def _atmosphere(air: Values) -> Iterator[str]:
     yield f"{_layers(air)}, seen through an aperture of"
     yield f"{short(air['illuminated_aperture_m'])} m, with the spectrum B2 α^(-{index})."
     for layer in air["layers"]:
-        yield f"{layer['name']}: {_percent(layer['share'])} of B2, {short(layer['height_m'])} m above the telescope."
+        factor, turn = short(layer["wind_factor"]), short(math.degrees(layer["wind_turn_rad"]))
+        yield f"{layer['name']}: {_percent(layer['share'])} of B2, {short(layer['height_m'])} m above the telescope,"
+        yield f"with {factor} times the speed of the drawn wind in m/s, turned by {turn} deg."
     if air["outer_scale_m"] is not None:
         yield f"Its outer scale is {short(air['outer_scale_m'])} m."
     if air["site"]:
@@ -182,8 +184,9 @@ def _atmosphere(air: Values) -> Iterator[str]:
     else:
         yield "B2 of each observation follows from its water and water fluctuation."
     wind = air["wind_median_rad_s"]
-    yield f"Winds have a median of {_arcmin(wind)}/s ({number(wind * air['layer_height_m'])} m/s in the layer),"
-    yield f"a scatter of {short(air['wind_log_scatter'])} in the logarithm and all directions."
+    yield f"Winds have a median of {_arcmin(wind)}/s ({number(wind * air['layer_height_m'])} m/s at"
+    yield f"{short(air['layer_height_m'])} m), a scatter of {short(air['wind_log_scatter'])} in the logarithm"
+    yield "and all directions."
     if air["wind_drift"]:
         yield f"They change within an observation, on a time scale of {short(air['wind_drift']['time_scale_s'])} s."
     if air["wind_b2_exponent"]:

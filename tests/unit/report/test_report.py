@@ -135,7 +135,7 @@ def test_what_was_simulated_and_what_was_not(page, summary):
     assert {name: terms[name] for name in summary["left_out"]} == summary["left_out"]
     assert terms["Observations"].startswith("4 observations of 4 scans of 6 s at 4 arcmin/s, turnarounds of 2 s.")
     assert "right ascension 08h 49m 12s, declination +44° 50′ 24″" in terms["Field"]
-    assert "One frozen layer 1000 m above" in terms["Atmosphere"] and "(9.02 m/s in the layer)" in terms["Atmosphere"]
+    assert "One frozen layer 1000 m above" in terms["Atmosphere"] and "(9.02 m/s at 1000 m)" in terms["Atmosphere"]
     assert "masked to 1.3 (f/#)λ" in terms["Score"] and terms["Cleaning"].startswith("Average subtraction.")
 
 
