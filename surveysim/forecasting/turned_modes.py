@@ -39,6 +39,8 @@ def turned_power(modes: Modes, amplitude: np.ndarray, directions: np.ndarray, sh
 
 def _turned(modes: Modes, amplitude: np.ndarray, turn_rad: np.ndarray) -> np.ndarray:
     """Interpolate the amplitude of modes that are turned further in azimuth by less than half a turn, (n_turn, ...)."""
+    if not turn_rad.any():  # scans back and forth; importing the spline takes 0.2 s
+        return amplitude[None]
     from scipy.interpolate import CubicSpline
 
     angle = np.angle(modes.wave[-1])
