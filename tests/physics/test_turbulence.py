@@ -119,7 +119,7 @@ def realizations(layer, n_scan, seed, amplitude=1.0, plane=None, closest_rad=0.0
     "index, height",
     [
         (13 / 6, 1000.0),
-        (8 / 3, 375.0),
+        (8 / 3, 1000.0),
         (11 / 3, 375.0),
         (11 / 3, 1000.0),
         (11 / 3, 2000.0),
