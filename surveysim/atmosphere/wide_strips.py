@@ -18,8 +18,11 @@ from surveysim.atmosphere.strip_factors import Seam, Strip
 from surveysim.atmosphere.thin_screen import LAG_MAX, Screen, structure_function
 from surveysim.runtime.errors import OutOfRangeError
 
-# Negative power of the transforms, and power that they omit, as fractions of the variance of neighbour differences.
-_CLIPPED, _OMITTED = 0.5 * factors.CLIPPED_MAX, 1e-4
+# Negative power of the transforms, as a fraction of the variance of neighbour differences, and power that is omitted
+# along and across: it is also that of the residual of a quadratic in a small field of view.
+_CLIPPED, _OMITTED = 0.5 * factors.CLIPPED_MAX, 1e-5
+# Power across that the lowest frequencies without matrices may have beyond that of the spectrum.
+_BEYOND = 1e-4
 # Most lanes, whose factors take some five seconds.
 _MOST_LANES = 2048
 # Operations for matrices that take a second, and the number of frequencies that may take longer, over that of the
@@ -86,7 +89,7 @@ def _dense_frequencies(share: np.ndarray, n_half: int) -> int:
     """Count the lowest frequencies that keep their matrices."""
     negative = -np.minimum(share[:, :n_half], 0.0).sum(axis=1)
     omitted = np.abs(share[:, n_half:]).sum(axis=1)
-    bad = (np.cumsum(negative[::-1])[::-1] > _CLIPPED) | (np.cumsum(omitted[::-1])[::-1] > _OMITTED)
+    bad = (np.cumsum(negative[::-1])[::-1] > _CLIPPED) | (np.cumsum(omitted[::-1])[::-1] > _BEYOND)
     return max(1, int(np.flatnonzero(bad).max(initial=-1)) + 1)
 
 

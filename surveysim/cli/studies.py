@@ -1,5 +1,7 @@
 """Commands on the simulation itself: accuracy, paper."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -155,7 +157,6 @@ def paper(
     from surveysim.cli.progress import equal_work, progress_display
     from surveysim.paper.reproduce import reproduce
     from surveysim.paper.scenes import FIGURES, TABLES, wanted
-    from surveysim.runtime.engine import EngineError
 
     with_engine = options.engine(engine, workers, scheduler)
     tables = options.numbers("--table", table, TABLES, everything)
@@ -167,19 +168,11 @@ def paper(
     own = {} if observations is None else {"paper.observations": observations}
     directory = out or default_directory("paper", given | own)
     done = count(1)
-    try:
+    with _reported():
         work = equal_work(asked.observations)
         with progress_display("paper", work, quiet, workers=with_engine.workers_for(len(work))) as show:
             progress = stopping(lambda: show(next(done), lambda: ""))
             written, failed = reproduce(asked, directory, with_engine, progress=progress, force=force)
-    except EngineError as error:
-        complain(str(error))
-        raise typer.Exit(EXIT_FAILED) from None
-    except InputError as error:
-        if isinstance(error, SceneError):
-            raise
-        complain(" ".join(str(error).split()))
-        raise typer.Exit(EXIT_FAILED) from None
     if not quiet:
         from surveysim.report.terminal.paper import print_paper
 
@@ -188,6 +181,23 @@ def paper(
         complain(line)
     if failed:
         raise typer.Exit(EXIT_FAILED)
+
+
+@contextmanager
+def _reported() -> Iterator[None]:
+    """Report errors of engines and inputs in one line, with exit code 1; errors of scenes pass."""
+    from surveysim.runtime.engine import EngineError
+
+    try:
+        yield
+    except EngineError as error:
+        complain(str(error))
+        raise typer.Exit(EXIT_FAILED) from None
+    except InputError as error:
+        if isinstance(error, SceneError):
+            raise
+        complain(" ".join(str(error).split()))
+        raise typer.Exit(EXIT_FAILED) from None
 
 
 def _explain(
@@ -213,7 +223,8 @@ def _explain(
     own = {} if observations is None else {"paper.observations": observations}
     directory = out or default_directory("paper_explain", given | own)
     done, work = count(1), equal_work(asked.observations)
-    with progress_display("paper --explain", work, quiet, workers=with_engine.workers_for(len(work))) as show:
+    workers = with_engine.workers_for(len(work))
+    with _reported(), progress_display("paper --explain", work, quiet, workers=workers) as show:
         progress = stopping(lambda: show(next(done), lambda: ""))
         content = explain(asked, directory, with_engine, progress=progress, force=force)
     if not quiet:

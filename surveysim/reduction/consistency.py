@@ -136,8 +136,9 @@ def check_size(scene: Scene, n_det: int, extent_rad: float) -> None:
     """
     scan = scene.scan
     if (reach_rad := math.atan(extent_rad)) > MAX_REACH_RAD:
+        found = f"{math.degrees(reach_rad):.4g}" if math.isfinite(extent_rad) else "90 or more"
         raise SceneError(
-            f"scan: found a map that reaches {math.degrees(reach_rad):.4g} deg from its centre with this scan, "
+            f"scan: found a map that reaches {found} deg from its centre with this scan, "
             f"dither and camera; {math.degrees(MAX_REACH_RAD):g} deg or less is expected"
         )
     side = 2 * extent_rad / scene.map.pixel_rad

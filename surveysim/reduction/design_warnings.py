@@ -15,12 +15,14 @@ from surveysim.scene.detector_table import KEY
 from surveysim.telescope.optics import scene_chain
 from surveysim.telescope.patterns.figures import Figure, covered_width
 from surveysim.telescope.patterns.raster import Raster
+from surveysim.telescope.patterns.track import Track, longest_gap
 from surveysim.timestreams.expected_losses import sampled_share
 from surveysim.timestreams.observed_block import observation_levels
 from surveysim.timestreams.simulation import camera_white
 
 MOST_APART = 0.02  # of two conversions to CMB temperature
 MOST_LOST = 0.2  # of the samples
+LONG_GAP = 10  # in a track, in typical steps
 
 
 def design_warnings(setup: Setup) -> list[str]:
@@ -42,6 +44,19 @@ def _sampling(setup: Setup) -> str:
     return (
         f"scan.sample_rate: samples are {_arcsec(step)} apart, more than half of the beam of {_arcsec(beam)}; a rate of"
         f" {2 * scans.fastest_rad_s / beam:.3g} Hz or more resolves it."
+    )
+
+
+def _track_gap(setup: Setup) -> str:
+    scans = setup.observing.scans
+    if not isinstance(scans, Track):
+        return ""
+    row, gap_s = longest_gap(scans)
+    if gap_s <= LONG_GAP * scans.known_step_s:
+        return ""
+    return (
+        f"scan.track_table: row {row} is {gap_s:.3g} s after the row before, and most rows {scans.known_step_s:.3g} s;"
+        " samples between are interpolated."
     )
 
 
@@ -189,6 +204,7 @@ def _few_spells(setup: Setup) -> str:
 
 CHECKS: tuple[Callable[[Setup], str], ...] = (
     _sampling,
+    _track_gap,
     _diffraction,
     _pixels,
     _coverage,

@@ -28,12 +28,16 @@ def cleaned_power(streams: DrawnBlock, rows: np.ndarray | slice, item: Cleaned) 
 
 
 def sampled_scans(streams: DrawnBlock, rows: np.ndarray | slice, kept: np.ndarray) -> np.ndarray:
-    """Number (n,) of kept scans of some detectors less the part of lost samples: filled gaps have no white noise."""
+    """Number (n,) of kept scans of some detectors less the part of lost samples: filled gaps have no white noise.
+
+    Samples count as in a periodogram, by the squared Hann taper: turnarounds at the ends of scans hardly do.
+    """
     n_kept = int(kept.sum())
     if streams.flags is None or not n_kept:
         return np.full(len(streams.data_mk[rows]), float(n_kept))
     of_scans = streams.flags[rows].reshape(-1, len(kept), streams.flags.shape[1] // len(kept))
-    return n_kept * (1 - of_scans[:, kept].mean(axis=(1, 2)))
+    weight = np.hanning(of_scans.shape[-1] + 1)[:-1] ** 2
+    return (~of_scans[:, kept]).sum(axis=1) @ (weight / weight.sum())
 
 
 def cleaned_psd(streams: DrawnBlock, rows: np.ndarray | slice, item: Cleaned, scale: float) -> tuple[int, np.ndarray]:

@@ -8,6 +8,7 @@ from surveysim.runtime.table import Column, Table, column, file_column
 
 EXPLAINS, HELPS, WORSENS = "explains", "helps", "worsens"
 Content = Mapping[str, Any]  # the key `explained` of summary.json
+_ROUNDING = 1e-6  # relative to the value: differences of streams in single precision
 _ENTRY = ("value", "error", "difference", "difference_error", "verdict")
 
 
@@ -27,13 +28,13 @@ def entry_table(content: Content) -> Table:
 
 
 def overview_table(content: Content) -> Table:
-    """Return a row for each finding: paper, one layer, ingredients that explain it or help, and all together."""
+    """Return a row for each finding: paper, one layer, best combination, and ingredients that explain it or help."""
     columns = (
         _titles(content),
         _paper(content),
         _values(content, 0),
-        *(_named(content, verdict) for verdict in (EXPLAINS, HELPS)),
         _values(content, -1),
+        *(_named(content, verdict) for verdict in (EXPLAINS, HELPS)),
     )
     return Table("overview", "Findings of the paper, and the ingredients that explain them", columns)
 
@@ -120,5 +121,7 @@ def _named(content: Content, verdict: str) -> Column:
 
 def _moved(entry: Mapping[str, Any]) -> str:
     value, error = _known(entry["difference"]), _known(entry["difference_error"])
+    if max(abs(value), error) <= _ROUNDING * abs(_known(entry["value"])):
+        return "0"
     sign = "+" if value > 0 else ""
     return f"{sign}{with_error(value, error)} {entry['verdict']}".rstrip()

@@ -20,7 +20,7 @@ _Velocity = tuple[np.ndarray, np.ndarray]
 class LissajousFigure(Section):
     """Lissajous figure that is added to a curve, so that the curve covers its area more evenly.
 
-    MUSTANG-2 adds one to its daisies, TolTEC to Lissajous figures.
+    MUSTANG-2 adds one to its daisies, TolTEC to Lissajous figures and rasters.
     """
 
     amplitude_x_rad: PositiveAngle = Field(alias="amplitude_x")

@@ -1,11 +1,12 @@
 """Section [scan]: the path of the telescope in one observation, one class for each pattern."""
 
+import math
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
 from surveysim.scene.fields import AngleExtent, Duration, DurationExtent, Speed, whole
-from surveysim.scene.scan_figures import DaisyScan, LissajousScan, PongScan
+from surveysim.scene.scan_figures import DaisyScan, LissajousFigure, LissajousScan, PongScan
 from surveysim.scene.scan_section import MOST_SCANS, ScanSection
 from surveysim.scene.scan_sweeps import AzimuthScan, SweepScan
 from surveysim.scene.scan_track import TrackScan
@@ -28,11 +29,12 @@ class RasterScan(SweepScan):
     """Duration of the turnaround between two scans."""
     step_rad: AngleExtent = Field(alias="step")
     """Distance between neighbouring scans."""
+    lissajous: LissajousFigure | None = None
 
     @property
     def fastest_rad_s(self) -> float:
-        """Speed of the boresight."""
-        return self.speed_rad_s
+        """Speed of a scan, and the largest of a Lissajous figure that is added."""
+        return self.speed_rad_s + (math.hypot(*self.lissajous.peak_speeds_rad_s) if self.lissajous else 0.0)
 
 
 SCAN_SECTIONS: tuple[type[ScanSection], ...] = (RasterScan, AzimuthScan, DaisyScan, LissajousScan, PongScan, TrackScan)

@@ -102,7 +102,8 @@ class AzimuthScan(SweepScan):
     @model_validator(mode="after")
     def _turns_in_one_way(self) -> Self:
         if (self.given_turnaround_s is None) == (self.acceleration_rad_s2 is None):
-            raise ValueError("scan: exactly one of 'turnaround' and 'acceleration' is expected")
+            found = "missing" if self.given_turnaround_s is None else "found with 'acceleration'"
+            raise ValueError(f"turnaround: {found}; exactly one of 'turnaround' and 'acceleration' is expected")
         if self.jerk_rad_s3 is not None and self.acceleration_rad_s2 is None:
             raise ValueError("jerk: found without 'acceleration', which it limits the change of")
         return self

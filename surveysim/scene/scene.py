@@ -375,6 +375,8 @@ def _override(path: Path, data: dict, key: str, value: Any) -> None:
         return
     for name in sections:
         data = data.setdefault(name, {})
+        if isinstance(data, list):
+            raise SceneError(f"{path}: {key}: {name!r} is a list; a new list in place of all of it is expected")
         if not isinstance(data, dict):
             raise SceneError(f"{path}: {key}: {name!r} is not a section")
     data[last] = value

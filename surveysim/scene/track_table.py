@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from surveysim.scene.frequency_table import check_rows, column_numbers, ecsv_tab
 from surveysim.scene.units import shown
 
 KEY = "scan.track_table"
-MAX_BYTES = 500_000_000  # some 5 million rows
+MAX_BYTES = 100_000_000  # some 2 million rows, which take ten seconds
 FEWEST_ROWS = 4  # of an observation, for a cubic through four of them
 DAY_S = 86400.0
 FIRST_MJD, LAST_MJD = 15020, 88069  # 1900-01-01 to 2199-12-31, as the dates of a schedule
@@ -33,6 +34,7 @@ UNITS = {
     "dec": "rad",
     "flag": "",
 }
+_EXAMPLES = {"d": "d", "s": "s", "rad": "deg", "": ""}  # units of each kind
 _HEADING = re.compile(r"\s*(\w+)\s*(?:\[\s*([^\]]*?)\s*\])?\s*")  # of a column in CSV: name [unit]
 _Columns = dict[str, np.ndarray]
 
@@ -145,6 +147,8 @@ def _track(columns: _Columns) -> TrackTable:
     bounds = _bounds(columns.get("observation"), len(degrees))
     first = bounds[:-1]
     start_mjd, time_s = _times(columns, first)
+    if "flag" in columns and columns["flag"].all():
+        raise InputError("column 'flag': found one in each row; rows without are expected, which maps have")
     later = np.append(True, np.diff(time_s) > 0)
     later[first] = time_s[first] >= 0
     check_rows("mjd" if "mjd" in columns else "time", time_s, later, "more than in the row before", unit=" s")
@@ -256,16 +260,21 @@ def _csv_columns(lines: list[str]) -> _Columns:
         )
     names = [heading[1] for heading in headings if heading]
     _check_names(names)
-    cells = np.array(list(_numbers(names, rows)), dtype=float).reshape(-1, len(names))
+    cells = np.fromiter(chain.from_iterable(_numbers(names, rows)), float).reshape(-1, len(names))
     found = {}
     for number, heading in enumerate(filter(None, headings)):
         name, unit = heading.groups()
         if UNITS[name] and not unit:
-            raise InputError(f"column {name!r}: found no unit, and one in brackets is expected, as {name} [deg]")
+            raise InputError(
+                f"column {name!r}: found no unit, and one in brackets is expected, as {name} [{_EXAMPLES[UNITS[name]]}]"
+            )
         try:
             factor = float(Unit(unit).to(UNITS[name])) if UNITS[name] else 1.0
         except Exception:  # another kind of unit, or one unknown to astropy
-            raise InputError(f"column {name!r}: found the unit {shown(unit)}") from None
+            expected = _EXAMPLES[UNITS[name]]
+            raise InputError(
+                f"column {name!r}: found the unit {shown(unit)}; one like {expected} is expected"
+            ) from None
         found[name] = cells[:, number] * factor
     return found
 

@@ -185,3 +185,12 @@ def test_rectangles_that_are_too_large_are_refused(setup_of):
     )
     with pytest.raises(SceneError, match=r"atmosphere: found a rectangle of the layer .* fill .* deg, in wind of"):
         setup_of(figure, atmosphere__wind_median="60 arcmin / s", map__pixel="3 arcmin")
+
+
+def test_tracks_to_the_horizon_are_refused(setup_of):
+    """A radius of 8 degrees about an elevation of 6: with the layer at h / sin(el), the run would not be defined."""
+    low = DAISY.replace("6 arcmin", "8 deg").replace("4 s", "40 s").replace("12 s", "130 s").replace("10 s", "5 s")
+    with pytest.raises(SceneError, match=r"scan: found the boresight at -1.* deg elevation in observation 0, with"):
+        setup_of(low, fixed_pointing__elevation="6 deg", map__pixel="3 arcmin")
+    with pytest.raises(SceneError, match=r"scan: found the boresight at .* deg elevation in observation .* dither; 2"):
+        setup_of(DAISY.replace("0 arcmin", "8 deg"), fixed_pointing__elevation="6 deg", map__pixel="3 arcmin")

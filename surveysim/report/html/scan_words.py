@@ -15,8 +15,10 @@ def scan_words(scan: Values) -> str:
 
 
 def _raster(scan: Values) -> str:
+    figure = scan.get("lissajous")
+    added = f", with {_lissajous_words(figure)} added" if figure else ""
     return (
-        f"{plural(scan['scans'], 'scan')} of {short(scan['duration_s'])} s at {_arcmin(scan['speed_rad_s'])}/s,"
+        f"{plural(scan['scans'], 'scan')} of {short(scan['duration_s'])} s at {_arcmin(scan['speed_rad_s'])}/s{added},"
         f" turnarounds of {short(scan['turnaround_s'])} s{_flagged(scan)}. Scans are {_arcmin(scan['step_rad'])} apart."
     )
 

@@ -54,6 +54,8 @@ def _strips(setup: Setup) -> Iterator[Strip]:
 def _departure(screen: Screen, strip: Strip) -> float:
     """Largest relative deviation of a strip's structure function along x from `structure_function`."""
     power = np.add.reduceat(np.square(strip.lane_columns, dtype=float).mean(axis=1), strip.start[:-1])
+    across = np.square(strip.amplitude, dtype=float)
+    power = np.append(power, 2.0 * across.sum(axis=1) - across[:, :1].sum(axis=1))
     k = np.arange(len(power))
     weight = np.where(k == strip.n_x // 2, 1.0, 4.0) / strip.n_x**2
     lag = np.unique(np.geomspace(1, strip.length_rad / strip.step_rad, 24).astype(int))

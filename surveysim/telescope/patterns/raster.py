@@ -6,13 +6,15 @@ at 1 degree and 7 arcsec at 30 arcmin from the centre of a field at 40 degrees. 
 points, so only the coverage differs.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from surveysim.scene.scan_figures import LissajousFigure
 from surveysim.scene.scan_patterns import RasterScan
 from surveysim.telescope.directions import FieldCentre, Site
 from surveysim.telescope.horizon_frame import HorizonFrame
+from surveysim.telescope.patterns.figures import lissajous_curve
 from surveysim.telescope.scans import ScanPath, Scans, mid_times, samples_per_scan, timing
 from surveysim.telescope.turnarounds import (
     Turnaround,
@@ -33,32 +35,46 @@ class Raster(Scans):
     step_rad
     turning
         Turnaround that is simulated; None where they are left out.
+    added
+        Lissajous figure that is added, as by TolTEC's "rastajous"; None without one.
     """
 
     step_rad: float
     turning: Turnaround | None = None
+    added: LissajousFigure | None = None
 
     @property
     def straight(self) -> bool:
-        """Whether no turnaround is simulated."""
-        return self.turning is None
+        """Whether no turnaround is simulated, and nothing added."""
+        return self.turning is None and self.added is None
 
 
 def scene_raster(section: RasterScan, centre: FieldCentre, site: Site | None) -> Raster:
     """Make the raster of a section [scan]."""
-    return Raster(**timing(section), step_rad=section.step_rad, turning=simulated_turnaround(section))
+    turning = simulated_turnaround(section)
+    return Raster(**timing(section), step_rad=section.step_rad, turning=turning, added=section.lissajous)
 
 
 def raster_extent(raster: Raster, lowest_rad: float) -> float:
     """Compute the largest offset from the centre of the pattern, along either axis [rad]."""
     half_s = mean_speed(raster.scan_s, raster.turning) * raster.scan_s / 2
     steps = raster.n_scans - (1 if raster.turning is None else 0)
-    return max(raster.speed_rad_s * half_s, raster.step_rad * steps / 2)
+    more = max(raster.added.amplitude_x_rad, raster.added.amplitude_y_rad) if raster.added else 0.0
+    return max(raster.speed_rad_s * half_s, raster.step_rad * steps / 2) + more
 
 
 def observation_raster(raster: Raster, observation: int, dither: np.ndarray, frame: HorizonFrame | None) -> ScanPath:
     """Compute the boresight path of the observation with a number: scans along RA and along Dec in turn."""
-    return raster_path(raster, ("ra", "dec")[observation % 2], dither)
+    path = raster_path(raster, ("ra", "dec")[observation % 2], dither)
+    return path if raster.added is None else _with_figure(path, raster.added, raster.scan_s)
+
+
+def _with_figure(path: ScanPath, figure: LissajousFigure, scan_s: float) -> ScanPath:
+    """Add a Lissajous figure along right ascension and declination to a path."""
+    x, y = lissajous_curve(figure, path.time_s)
+    before, after = (lissajous_curve(figure, path.mid_time_s + side * scan_s / 2) for side in (-1, 1))
+    velocity = path.velocity_rad_s + (after - before).T / scan_s
+    return replace(path, xi_rad=path.xi_rad + x, eta_rad=path.eta_rad + y, velocity_rad_s=velocity)
 
 
 def raster_path(raster: Raster, along: str, dither: np.ndarray) -> ScanPath:

@@ -49,6 +49,19 @@ def track_extent(track: Track, lowest_rad: float) -> float:
     return max(float(np.abs(_rows(track, number, frame)).max()) for number, frame in enumerate(frames))
 
 
+def longest_gap(track: Track) -> tuple[int, float]:
+    """Find the longest time between two rows in which samples lie: the second row, from 1, and the time [s]."""
+    samples_s, found = sample_times(track)[0], (0, 0.0)
+    for number in range(track.table.n_obs):
+        rows = track.table.rows(number)
+        known_s = track.table.time_s[rows]
+        before = np.unique(np.clip(np.searchsorted(known_s, samples_s, side="right") - 1, 0, len(known_s) - 2))
+        steps_s = known_s[before + 1] - known_s[before]
+        longest = int(np.argmax(steps_s))
+        found = max(found, (rows.start + int(before[longest]) + 2, float(steps_s[longest])), key=lambda item: item[1])
+    return found
+
+
 def track_path(track: Track, observation: int, dither: np.ndarray, frame: HorizonFrame | None) -> ScanPath:
     """Compute the boresight path of the observation with a number; a sample has the flag of the nearest row."""
     rows, (time_s, scan, mid_s) = track.table.rows(observation), sample_times(track)

@@ -27,6 +27,7 @@ def test_long_strips_need_no_doubling(n_x, n_lane, index, outer_scale):
     assert strip.n_x == n_x
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outer_scale", [64.0, 300.0, inf])
 @pytest.mark.parametrize("index", [0.01, 3.7])
 @pytest.mark.parametrize("n_x, n_lane", [(1024, 49), (1024, 256), (2048, 150)])

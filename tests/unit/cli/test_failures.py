@@ -135,6 +135,8 @@ def test_interrupted_while_a_command_runs(monkeypatch, capsys, handlers, tmp_pat
         (["check", f"{EVIL}/nothing.toml"], "can't be read"),
         (["run", "a.toml", "--scheduler", "x" * 10_000, "--engine", "serial"], "scheduler: found one"),
         (["paper", "--all", "--set", "y" * 10_000], "KEY=VALUE is expected"),
+        (["paper", "--explain", "--table", "1"], "--explain: found with --table, --figure or --all; it stands alone"),
+        (["paper", "--explain", "--observations", "7"], "--observations: found 7; 8 or more is expected"),
     ],
 )
 def test_wrong_command_lines(capsys, handlers, arguments, words):

@@ -17,6 +17,7 @@ from surveysim.paper.explain import run
 from surveysim.paper.explain.comparison import Finding, compared
 from surveysim.paper.explain.findings import bootstrapped, findings, paper_slope
 from surveysim.paper.explain.ingredients import Explained, Ingredient, explained, ingredients
+from surveysim.paper.explain.second_layer import trusted_rows, winds
 from surveysim.paper.explain.values import CLEANINGS, SETTINGS, signal_maps, template_ratios
 from surveysim.reduction.cleaned_block import reduce_block
 from surveysim.reduction.observation import observe
@@ -176,6 +177,16 @@ def test_signal_maps_are_those_of_a_run(scene):
         scale = np.abs(theirs[place, 0]).max()
         assert scale > 0
         np.testing.assert_allclose(mine[place], theirs[place], atol=1e-4 * scale, err_msg=name)
+
+
+@pytest.mark.slow
+def test_a_second_layer_costs_trusted_winds_in_poor_weather():
+    """Of 12 winds in the poorer half 0.96 are trusted with one layer and none with 30 % at 120 degrees (guide)."""
+    asked = explained(scene_folder(), observations=24)
+    rows = trusted_rows({(120, share): winds(asked.layers[120, share], SERIAL) for share in (0.0, 0.3)})
+    one, two = (row["poorer"] for row in rows)
+    assert one >= 9 / 12  # binomial: less in 0.1 % of surveys
+    assert two <= 2 / 12
 
 
 @pytest.mark.slow

@@ -44,6 +44,10 @@ NIGHTS |= {"fixed_pointing": None, "observations": 48, "atmosphere.correlation_t
 DAISY = {f"scan.{key}": None for key in ("speed", "scans", "turnaround", "step")}
 DAISY |= {"scan.pattern": "daisy", "scan.radius": "6 arcmin", "scan.radial_period": "10 s"}
 DAISY |= {"scan.duration": "1 min", "scan.chunk": "10 s"}
+# Rows each second, but for one of 10.1 s and one of 9.9 s.
+TRACK = {f"scan.{key}": None for key in ("speed", "scans", "turnaround", "step", "duration")}
+TRACK |= {"scan.pattern": "track", "scan.chunk": "10 s", "score": None}
+TRACK_TIMES = {"long.csv": 50.1, "short.csv": 49.9}
 # The small scene: samples 24 arcsec apart, a beam of 60 and pixels of 30; scans of 24 arcmin, 9 arcmin across, a dither
 # of 2 arcmin, and an array of 2.67 arcmin.
 CASES = {
@@ -51,6 +55,11 @@ CASES = {
         {"scan.sample_rate": "7.9 Hz"},
         {"scan.sample_rate": "8 Hz"},
         "scan.sample_rate: samples are 30.4 arcsec apart, more than half of the beam of 60 arcsec; a rate of 8 Hz or",
+    ),
+    "track gap": (
+        TRACK | {"scan.track_table": "long.csv"},
+        TRACK | {"scan.track_table": "short.csv"},
+        "scan.track_table: row 42 is 10.1 s after the row before, and most rows 1 s; samples between are interpolated",
     ),
     "diffraction": (
         {"instrument.f_lambda": "60.1 arcsec"},
@@ -112,6 +121,9 @@ def path(tmp_path):
     QTable({"x": x, "y": y} | columns).write(tmp_path / "efficient.ecsv")
     filtered = {"frequency": [123, 163] * u.GHz, "transmission": [1, 0.1]}
     QTable(filtered).write(tmp_path / "filter.ecsv")
+    for name, after in TRACK_TIMES.items():
+        rows = [f"{t}, {132.3 + t / 500}, 44.84\n" for t in [*range(41), *(after + np.arange(12))]]
+        (tmp_path / name).write_text("".join(["time [s], ra [deg], dec [deg]\n", *rows]))
     return write_scene(tmp_path)
 
 

@@ -31,6 +31,14 @@ velocity = "2 arcmin / s"
 terms = 5
 {COMMON}"""
 
+RASTER = """speed = "4 arcmin / s"
+scans = 4
+duration = "6 s"
+turnaround = "2 s"
+step = "3 arcmin"
+dither = "0 arcmin"
+sample_rate = "10 Hz"
+"""
 ADDED = """
 [scan.lissajous]
 amplitude_x = "1 arcmin"
@@ -98,6 +106,11 @@ def test_report_has_words_for_every_pattern():
     "keys, words",
     [
         (
+            RASTER + ADDED,
+            "4 scans of 6 s at 4 arcmin/s, with a Lissajous figure of amplitudes 1 arcmin and 2 arcmin, with periods of"
+            " 30 s and 41 s added, turnarounds of 2 s. Scans are 3 arcmin apart.",
+        ),
+        (
             DAISY,
             "a daisy of radius 4 arcmin, with a period of 7 s along a diameter, for 60 s in chunks of 15 s. Its axes"
             " are along right ascension and declination.",
@@ -120,7 +133,7 @@ def test_report_has_words_for_every_pattern():
             " axes are along right ascension and declination.",
         ),
     ],
-    ids=["daisy", "lissajous", "added", "pong"],
+    ids=["raster", "daisy", "lissajous", "added", "pong"],
 )
 def test_report_says_what_the_telescope_does(tmp_path, keys, words):
     scene = load_scene(write_scene(tmp_path, with_scan(SMALL_SCENE, keys)))

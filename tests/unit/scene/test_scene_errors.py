@@ -411,6 +411,9 @@ def test_each_error_has_its_line(path):
 
 def test_overrides_of_what_is_no_section(path):
     check(path, {"title.text": "a"}, "title.text", "'title' is not a section", "")
+    layers = {"atmosphere.layers": [{"name": "a", "height": "1 km", "share": 1}]}
+    key = "atmosphere.layers.0.height"
+    check(path, layers | {key: "2 km"}, key, "'layers' is a list", "a new list in place of all of it is expected")
 
 
 def test_one_brightness_of_a_source(path):

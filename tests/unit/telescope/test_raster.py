@@ -3,7 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surveysim.telescope.patterns.raster import Raster, raster_path
+from surveysim.scene.scan_figures import LissajousFigure
+from surveysim.telescope.patterns.raster import Raster, observation_raster, raster_extent, raster_path
 from surveysim.telescope.scans import duration_s, samples_per_scan
 
 ARCMIN = np.pi / 180 / 60
@@ -113,3 +114,19 @@ def test_too_few_samples_says_what_was_found():
 def test_unknown_direction():
     with pytest.raises(ValueError, match="'azimuth'"):
         raster_path(LYNX, "azimuth", CENTRED)
+
+
+def test_a_lissajous_figure_is_added_to_both_directions():
+    """TolTEC's rastajous: to offsets, mean velocities and extent; the path is no longer straight."""
+    keys = {"amplitude_x": "0.5 arcmin", "amplitude_y": "0.7 arcmin", "period_x": "3 s", "period_y": "4.1 s"}
+    both = replace(LYNX, added=LissajousFigure.model_validate(keys))
+    for number in (0, 1):
+        plain, found = (observation_raster(item, number, CENTRED, None) for item in (LYNX, both))
+        x = 0.5 * ARCMIN * np.sin(2 * np.pi * plain.time_s / 3)
+        y = 0.7 * ARCMIN * np.sin(2 * np.pi * plain.time_s / 4.1)
+        np.testing.assert_allclose(found.xi_rad, plain.xi_rad + x, rtol=0, atol=ROUNDING)
+        np.testing.assert_allclose(found.eta_rad, plain.eta_rad + y, rtol=0, atol=ROUNDING)
+        end = np.array([np.sin(2 * np.pi * 15 / 3) * 0.5, np.sin(2 * np.pi * 15 / 4.1) * 0.7]) * ARCMIN
+        np.testing.assert_allclose((found.velocity_rad_s - plain.velocity_rad_s)[0], end / 15, atol=ROUNDING)
+        assert plain.straight and not found.straight
+    assert raster_extent(both, 0.5) == pytest.approx(raster_extent(LYNX, 0.5) + 0.7 * ARCMIN)

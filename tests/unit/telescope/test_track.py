@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from surveysim.output.scene_copy import scene_files
+from surveysim.reduction.design_warnings import design_warnings
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import InputError, SceneError
@@ -164,8 +165,13 @@ NUMBERED = "observation, ra [deg], dec [deg], time [s]"
         ("time [s], ra [deg]", ["0, 10"], "column 'dec': missing; ra and dec are expected together"),
         ("ra [deg], dec [deg]", ["0, 10"], "columns 'time' and 'mjd': found neither; exactly one is expected"),
         ("time [s], az [deg], el [deg]", ROWS, "column 'az': found without a date; the column 'mjd', or 'start_mjd'"),
-        ("time, ra [deg], dec [deg]", ROWS, "column 'time': found no unit, and one in brackets is expected, as time"),
-        ("time [s], ra [m], dec [deg]", ROWS, "column 'ra': found the unit 'm'"),
+        (
+            "time, ra [deg], dec [deg]",
+            ROWS,
+            "column 'time': found no unit, and one in brackets is expected, as time [s]",
+        ),
+        ("time [s], ra [m], dec [deg]", ROWS, "column 'ra': found the unit 'm'; one like deg is expected"),
+        (f"{SKY}, flag", [f"{row}, 1" for row in ROWS], "column 'flag': found one in each row; rows without are"),
         (SKY, [*ROWS, "4, x, 60"], "row 5, column 'ra': found 'x'; a number is expected"),
         (SKY, [*ROWS, "4, 60"], "row 5: found 2 cells; 3 are expected"),
         (SKY, [*ROWS, "3, 10, 60"], "row 5, column 'time': found 3 s, and more than in the row before is allowed"),
@@ -201,6 +207,17 @@ def test_missing_files_and_late_or_short_tracks_are_refused(tmp_path):
         SceneError, match=r"scan.track_table: found a track that begins 1 s after the start of an observation; 0.05 s"
     ):
         scene(folder)
+
+
+def test_long_gaps_between_rows_get_a_warning(tmp_path):
+    """Rows each 0.2 s, but for 15 s without any: samples of the second chunk lie there, or of none."""
+    time_s = np.arange(0, 60.1, 0.2)
+    sky_csv(tmp_path, time_s[(time_s < 8) | (time_s > 23)])
+    (warning,) = (text for text in design_warnings(prepare(scene(tmp_path))) if "track_table" in text)
+    assert warning.startswith("scan.track_table: row 41 is 15.4 s after the row before, and most rows 0.2 s;")
+    (folder := tmp_path / "left_out").mkdir()
+    sky_csv(folder, time_s[(time_s < 10.1) | (time_s > 14.9)])
+    assert not any("track_table" in text for text in design_warnings(prepare(scene(folder, 'turnaround = "5 s"\n'))))
 
 
 def test_ecsv_tables_are_read_as_csv_ones(tmp_path):

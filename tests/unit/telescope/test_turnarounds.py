@@ -97,7 +97,7 @@ def test_flagged_turnarounds_of_rasters_are_in_streams_and_not_in_maps(scene_of)
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({}, "scan: exactly one of 'turnaround' and 'acceleration' is expected"),
+        ({}, "scan.turnaround: missing; exactly one of 'turnaround' and 'acceleration' is expected"),
         ({"turnaround": "2 s", "acceleration": "1 deg / s2"}, "exactly one of 'turnaround' and 'acceleration'"),
         ({"turnaround": "2 s", "jerk": "1 deg / s3"}, "jerk: found without 'acceleration'"),
         ({"turnaround": "2 s", "turnarounds": "kept"}, "left out"),
