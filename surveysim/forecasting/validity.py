@@ -139,7 +139,9 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
     if setup.scene.turbulent:
         yield _repeated_layer(setup, inputs)
         if inputs.pipeline.steps != ("none",):
-            yield _stripes(inputs) if inputs.tracks.straight else _scattered(setup.analysis.region, inputs)
+            if inputs.tracks.straight:
+                yield _stripes(inputs)
+            yield _scattered(setup.analysis.region, inputs)
         if (name := inputs.pipeline.label) in _APPROXIMATE:
             sentence = (
                 f"Cleaning {_APPROXIMATE[name]} is approximated by average subtraction, with an unknown difference."
@@ -214,14 +216,14 @@ def _stripes(inputs: EffectInputs) -> NeglectedEffect:
 
 
 def _scattered(region: ScoredRegion, inputs: EffectInputs) -> NeglectedEffect:
-    """Noise of other multipoles that uneven coverage and the trends that chunks share scatter to the scored ones."""
+    """Noise of other multipoles that uneven coverage and the trends that scans share scatter to the scored ones."""
     counts, noise = region.rings.n_modes, inputs.co_added
     mean = counts @ noise / counts.sum()
     beyond = np.divide(mean, noise, out=np.ones_like(noise), where=noise > 0) - 1
     coverage, _ = _unevenness(region, inputs.hits)
     size = max(0.0, float(max(_SCATTERED, coverage) * (beyond @ inputs.share)))
     sentence = (
-        f"Uneven coverage and trends of the layer that chunks share scatter noise of all multipoles to the scored ones,"
+        f"Uneven coverage and trends of the layer that scans share scatter noise of all multipoles to the scored ones,"
         f" about {_percent(size)} of their noise, which the forecast neglects."
     )
     return NeglectedEffect("scattered noise", size, sentence, size > LARGE)

@@ -116,7 +116,7 @@ def test_the_base_need_not_have_the_key(write):
         ('"scan.sped" = [1]\n', "sweep.scan.sped: unknown key; did you mean scan.speed?"),
         ("scans = [1]\n", "sweep.scans: unknown key; did you mean scan?"),
         ("quux = [1]\n", "sweep.quux: unknown key; allowed are atmosphere, cleaning"),
-        ('"scan.quux" = [1]\n', "sweep.scan.quux: unknown key; allowed are dither, duration"),
+        ('"scan.quux" = [1]\n', "sweep.scan.quux: unknown key; allowed are acceleration, amplitude_x"),
         ('"title.x" = [1]\n', "sweep.title.x: unknown key of a scene"),
         ("scan.scans = [4, 5]\n", 'sweep.scan.scans: unknown key; a key with dots goes in quotes: "scan.scans"'),
         ("seed = [1, 2]\n", "sweep.seed: found 'seed'; a key that is not common to all points is expected"),
