@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from surveysim.cli.options import Overrides, SceneFile, at_least, bands_of, fail, ready_setup
-from surveysim.runtime.numbers import plural
+from surveysim.runtime.numbers import plain, plural
 from surveysim.runtime.printable import say
 
 
@@ -37,4 +37,5 @@ def track(
         if observations > one.observations:
             fail(f"--observations: found {observations}; {one.observations} or fewer are expected")
     table = write_track(one, out, observations=observations, force=force)
-    say(f"{out}: {plural(len(table), 'sample')} of {plural(observations or one.observations, 'observation')}")
+    size = f"{plural(len(table), 'sample')} of {plural(observations or one.observations, 'observation')}"
+    say(f"{out}: {plain(size)}")

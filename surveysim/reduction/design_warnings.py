@@ -11,6 +11,7 @@ import numpy as np
 from mapmaker.uncertainty import FEWEST, draws
 from surveysim.atmosphere.weather import survey_pwv_quantile
 from surveysim.reduction.setup import Setup
+from surveysim.runtime.numbers import plural
 from surveysim.scene.detector_table import KEY
 from surveysim.telescope.optics import scene_chain
 from surveysim.telescope.patterns.figures import Figure, covered_width
@@ -191,14 +192,15 @@ def _arcmin(angle: float) -> str:
     return f"{math.degrees(angle) * 60:.3g} arcmin"
 
 
-def _few_spells(setup: Setup) -> str:
-    """Warn of drifting weather with too few independent spells for an error from their scatter."""
+def _few_blocks(setup: Setup) -> str:
+    """Warn of drifting weather with too few independent blocks for an error from their scatter."""
     block, scene = setup.air.block(setup.scene.observations), setup.scene
     if block is None or scene.score is None or (found := draws(len(block), block)) >= FEWEST:
         return ""
     return (
         f"atmosphere.correlation_time: with {scene.atmosphere.correlation_time_s / 3600:.3g} h the observations have"
-        f" {found} independent spells of weather. The error of sigma(A) needs {FEWEST}, or 4 where there is a forecast."
+        f" {plural(found, 'block')} of independent weather. The error of sigma(A) needs {FEWEST}, or 4 where there is a"
+        " forecast."
     )
 
 
@@ -214,5 +216,5 @@ CHECKS: tuple[Callable[[Setup], str], ...] = (
     _unused_efficiency,
     _conversions,
     _lost_samples,
-    _few_spells,
+    _few_blocks,
 )

@@ -25,7 +25,7 @@ from surveysim.results.tables import (
     gain_table,
     score_table,
 )
-from surveysim.runtime.numbers import plain, quoted
+from surveysim.runtime.numbers import plain, plural, quoted
 from surveysim.survey.discarded_scans import listed_data_sets, percent
 from surveysim.survey.scores import FEWEST_CONTROLLED
 
@@ -106,7 +106,11 @@ def error_warnings(result: SurveyResult) -> list[str]:
         return []
     fewest = FEWEST_CONTROLLED if estimate.kind == "controlled" else FEWEST
     block, done = result.setup.air.block(result.coadds.done), result.coadds.done
-    found = f"{done} observations" if block is None else f"{draws(done, block)} independent spells of weather"
+    found = (
+        plural(done, "observation")
+        if block is None
+        else f"{plural(draws(done, block), 'block')} of independent weather"
+    )
     return [f"errors are unknown: found {found}; {fewest} or more are needed to estimate them."]
 
 

@@ -104,7 +104,7 @@ CASES = {
     "spells": (
         NIGHTS | {"schedule.nights": 15},
         NIGHTS | {"schedule.nights": 16},
-        "atmosphere.correlation_time: with 2 h the observations have 15 independent spells of weather. The error of",
+        "atmosphere.correlation_time: with 2 h the observations have 15 blocks of independent weather. The error of",
     ),
     "boresight": (OFF, NEAR, "instrument: the middle of the array is 9 arcmin off the boresight, beyond its own half"),
 }
