@@ -12,7 +12,7 @@ from surveysim.runtime.printable import say
 
 def track(
     scene: SceneFile,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="ECSV file to write.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="ECSV file to write, such as track.ecsv.")],
     observations: Annotated[
         int | None, typer.Option(metavar="N", help="Number of observations, from the first; by default all.")
     ] = None,

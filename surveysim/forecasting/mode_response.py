@@ -13,10 +13,9 @@ mean is removed: with w the transform of the map's taper along the scan, power a
 
 normalised so that H integrates to 1 over f' where no mean is removed (`surveysim.forecasting.scan_apodization`). A
 curved chunk crosses the taper of a length L, shorter than T, at any time: the product of the two terms then has the
-mean sinc(f' (T - L)). Fits
-of responsivities remove modes in time as well (`surveysim.forecasting.fitted_modes`), which enter H in the same way as
-the mean. All quantities are in the frame of the scan, whose x axis is the scan direction; positions in it are complex
-numbers x + i y [rad].
+mean sinc(f' (T - L)). Fits of responsivities remove modes in time as well (`surveysim.forecasting.fitted_modes`), which
+enter H in the same way as the mean. All quantities are in the frame of the scan, whose x axis is the scan direction;
+positions in it are complex numbers x + i y [rad].
 """
 
 from collections.abc import Sequence

@@ -39,9 +39,15 @@ def turned_power(modes: Modes, amplitude: np.ndarray, directions: np.ndarray, sh
 
 def _turned(modes: Modes, amplitude: np.ndarray, turn_rad: np.ndarray) -> np.ndarray:
     """Interpolate the amplitude of modes that are turned further in azimuth by less than half a turn, (n_turn, ...)."""
-    from scipy.interpolate import CubicSpline
-
     angle = np.angle(modes.wave[-1])
     grid = np.concatenate([angle - np.pi, angle, angle + np.pi])
     values = np.concatenate([amplitude.conj(), amplitude, amplitude.conj()], axis=-1)
-    return np.moveaxis(CubicSpline(grid, values, axis=-1)(angle + turn_rad[:, None]), -2, 0)
+    place = (angle + turn_rad[:, None])[..., None]
+    near = np.searchsorted(grid, place, side="right") + np.arange(-2, 2)  # of a cubic through four nodes
+    weight = [
+        np.prod(
+            [(place[..., 0] - grid[near[..., j]]) / (grid[near[..., i]] - grid[near[..., j]]) for j in others], axis=0
+        )
+        for i, others in enumerate([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])
+    ]
+    return np.moveaxis(sum(values[..., near[..., i]] * weight[i] for i in range(4)), -2, 0)

@@ -64,7 +64,7 @@ def test_streams_of_the_layer(setups):
 
 
 def test_forecast_has_the_layer_of_the_streams(setups):
-    site, plain = (observing_conditions(setup, [(0, WEATHER)]).layer[0] for setup in setups)
+    site, plain = (observing_conditions(setup, [(0, WEATHER)]).layers[0, 0] for setup in setups)
     assert plain == pytest.approx(300.0 * 2 ** (8 / 3), rel=1e-12)
     assert site / plain == pytest.approx(spectral_factor(), rel=0.01)
 

@@ -1,5 +1,7 @@
 """The command track."""
 
+import os
+
 from surveysim.scene.track_table import read_track
 from tests.scenes import WHITE_NOISE_SCENE, write_scene
 
@@ -12,6 +14,22 @@ def test_track_is_written_once(call, tmp_path):
     code, said, error = call("track", path, "--out", out)
     assert (code, said) == (2, "") and error.startswith(f"{out}: exists; another name, or --force")
     assert call("track", path, "--out", out, "--force")[0] == 0
+
+
+def test_only_tables_are_overwritten(call, tmp_path):
+    """With --force neither the scene, nor a directory, nor a pipe: a write would replace what the name stands for."""
+    path = write_scene(tmp_path, WHITE_NOISE_SCENE)
+    code, _, error = call("track", path, "--out", path, "--force")
+    assert code == 2 and error == f"{path}: found the suffix '.toml'; '.ecsv' is expected, as the table is ECSV\n"
+    assert path.read_text() == WHITE_NOISE_SCENE
+    (folder := tmp_path / "folder.ecsv").mkdir()
+    os.mkfifo(pipe := tmp_path / "pipe.ecsv")
+    for out in (folder, pipe):
+        assert call("track", path, "--out", out, "--force")[::2] == (
+            2,
+            f"{out}: found what is no file; the name of a file is expected\n",
+        )
+    assert folder.is_dir() and pipe.is_fifo()
 
 
 def test_wrong_numbers_and_sweeps_are_refused(call, tmp_path):

@@ -233,7 +233,7 @@ def _modes(setup):
     pipeline, levels = setup.analysis.pipelines[0], observing_conditions(setup, survey_draws(setup, 0, 4))
     plane = setup.camera.focal_plane
     return removed_modes(
-        setup.observing,
+        setup,
         pipeline,
         projected_array(plane, 0.0, responsivity=setup.camera.responsivity, algorithm=pipeline.steps[0]),
         levels,
@@ -258,7 +258,7 @@ def test_a_survey_s_error_leaves_a_part_of_the_layer(setup_of):
         setup = setup_of(**source)
         levels = observing_conditions(setup, survey_draws(setup, 0, 4))
         model = next(noise_models(setup, levels))
-        noise.append(model.layer_noise(replace(levels, layer=np.ones(4))))
+        noise.append(model.layer_noise(replace(levels, layers=np.ones((1, 4)))))
     known, least, some, twice = noise
     np.testing.assert_allclose(least, known, rtol=1e-4)
     added = (twice - known) / (some - known)
