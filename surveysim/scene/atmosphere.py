@@ -66,7 +66,7 @@ class Atmosphere(Section):
     """Height of the layer above the telescope. With several layers, the height that the drawn wind belongs to: the
     angular speed times this height is the wind in m/s."""
     layers: tuple[Layer, ...] = ()
-    """Without layers there is one, at `layer_height`. Not with a `profile`."""
+    """Turbulent layers. Without them there is one, at `layer_height`. Not with a `profile`."""
     profile: Literal["exponential"] | None = None
     """Makes layers from a profile of the water vapour. "exponential": the power of fluctuations at a height is
     proportional to the square of the water's density, which falls exponentially."""
@@ -104,7 +104,8 @@ class Atmosphere(Section):
     wind_b2_exponent: Annotated[float, *number(-2, 2)] = 0.0
     """Exponent of the median wind speed as a power of B2 over its median."""
     wind_drift: WindDrift | None = None
-    """Without it the wind is constant in an observation. For all layers without a section of their own."""
+    """Slow changes of the wind within an observation, for all layers without a section of their own. Without it the
+    wind is constant."""
     correlation_time_s: Duration | None = Field(alias="correlation_time", default=None)
     """Time in which the weather of the observations drifts: water, B2 (or the water fluctuation) and wind of two
     observations correlate by exp(-lag / time). Their distributions stay the same. It needs a [schedule]. Without it

@@ -144,10 +144,14 @@ def _row(key: str, item: Mapping[str, Any], required: bool) -> KeyRow:
 
 
 def _in_unit_of(example: str, item: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Express unit, bounds and default in the unit of the example, or in that of the bounds if it is "08h49m12s"."""
+    """Express unit, bounds and default in the unit of the example, or in that of the bounds if it is "08h49m12s".
+
+    Angles without an example have the unit of the bounds too.
+    """
     if item.get("type") != "string" or "unit" not in item:
         return item
-    unit = (unit_of(json.loads(example)) or unit_of(item["at_most"]) if example else None) or item["unit"]
+    of_bounds = unit_of(item["at_most"]) if example or item["unit"].startswith("rad") else None
+    unit = (example and unit_of(json.loads(example))) or of_bounds or item["unit"]
     own, size = item["unit"], to_float(f"1 {unit}", item["unit"])
     bounds = {
         name: text if unit_of(text) == unit else f"{_rounded(to_float(text, own) / size)} {unit}"
