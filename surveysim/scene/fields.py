@@ -12,10 +12,11 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, ValidationInfo, WithJsonSchema
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, WithJsonSchema
 
 from surveysim.scene.similar_names import did_you_mean
 from surveysim.scene.sites import OWN, site_names
+from surveysim.scene.table_path import TablePath
 from surveysim.scene.units import NUMBER, shown, to_float, to_floats, to_sky_angle
 
 FIRST_DATE, LAST_DATE = "1900-01-01", "2199-12-31"  # range of dates with accurate precession and nutation
@@ -182,6 +183,11 @@ def file_path(value: object, info: ValidationInfo) -> object:
     return Path(os.path.realpath(Path(info.context["folder"]) / value)) if info.context else Path(value)
 
 
+def _with_state(value: object) -> object:
+    """Add the state of its file to a path."""
+    return TablePath(value) if isinstance(value, Path) else value
+
+
 def table_or_name(value: object, info: ValidationInfo) -> object:
     """Resolve the name of a file as `file_path`; a text without a suffix is the name of a table that ships."""
     return value if isinstance(value, str) and value and not Path(value).suffix else file_path(value, info)
@@ -258,11 +264,19 @@ IsoDate = Annotated[
 Line = Annotated[str, BeforeValidator(_line)]
 Nside = Annotated[int | None, BeforeValidator(_nside), of_file("integer", enum=[2**k for k in range(14)])]
 SiteName = Annotated[str | None, BeforeValidator(_site), of_file("string", enum=site_names())]
-TableFile = Annotated[Path | None, BeforeValidator(file_path), of_file("string", format=FILE, examples=["camera.ecsv"])]
-TableOrName = Annotated[Path | str | None, BeforeValidator(table_or_name), of_file("string", format=FILE)]
+TableFile = Annotated[
+    Path | None,
+    BeforeValidator(file_path),
+    AfterValidator(_with_state),
+    of_file("string", format=FILE, examples=["camera.ecsv"]),
+]
+TableOrName = Annotated[
+    Path | str | None, BeforeValidator(table_or_name), AfterValidator(_with_state), of_file("string", format=FILE)
+]
 ShareOrTable = Annotated[
     Path | float | None,
     BeforeValidator(_share_or_table),
+    AfterValidator(_with_state),
     of_file(["number", "string"], format=FILE, minimum=0, maximum=1),
 ]
 Speed = Annotated[float, *quantity("rad / s", "arcmin / s", at_least="0.001 arcsec / s", at_most="360 deg / s")]

@@ -1,7 +1,6 @@
 """Section [scan] of a track that a table gives."""
 
 import math
-from pathlib import Path
 from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
@@ -34,7 +33,7 @@ class TrackScan(ScanSection):
     @property
     def table(self) -> TrackTable:
         """Content of the file."""
-        return read_track(Path(self.track_table))
+        return read_track(self.track_table)
 
     @property
     def needs_horizon(self) -> str:
@@ -55,12 +54,12 @@ class TrackScan(ScanSection):
     @property
     def speed_rad_s(self) -> float:
         """Mean speed between rows."""
-        return track_speeds(Path(self.track_table))[0]
+        return track_speeds(self.track_table)[0]
 
     @property
     def fastest_rad_s(self) -> float:
         """Largest speed between rows."""
-        return track_speeds(Path(self.track_table))[1]
+        return track_speeds(self.track_table)[1]
 
     @property
     def _margin_s(self) -> float:
