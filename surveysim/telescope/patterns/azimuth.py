@@ -11,10 +11,9 @@ import numpy as np
 from surveysim.scene.scan_sweeps import AzimuthScan
 from surveysim.telescope.directions import FieldCentre, Site
 from surveysim.telescope.horizon_frame import HorizonFrame, from_horizon, to_horizon
+from surveysim.telescope.pointing import SIDEREAL_RAD_S
 from surveysim.telescope.scans import ScanPath, Scans, duration_s, mid_times, samples_per_scan, timing
 from surveysim.telescope.turnarounds import Turnaround, in_turnaround, mean_speed, simulated_turnaround, sweep_offsets
-
-SIDEREAL_RAD_S = 2 * np.pi * 1.00273790935 / 86400
 
 
 @dataclass(frozen=True, kw_only=True)
