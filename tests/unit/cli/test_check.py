@@ -146,7 +146,5 @@ def test_skies_are_not_made_to_be_checked(small):
 def test_check_and_run_agree_at_extremes_of_all_keys(monkeypatch, key, overrides):
     monkeypatch.setattr(limits, "machine_bytes", lambda: MOST_BYTES)
     lines = refused_or_run(FIRST_LIGHT, overrides).splitlines()
-    others_missing = [
-        line for line in lines if line.endswith("missing; this key is expected")
-    ]  # of its section
+    others_missing = [line for line in lines if line.endswith("missing; this key is expected")]  # of its section
     assert all(": " in line and len(line) < 700 for line in lines) and len(lines) <= max(1, len(others_missing)), lines
