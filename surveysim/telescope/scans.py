@@ -45,7 +45,7 @@ class Scans:
 
     @property
     def straight(self) -> bool:
-        """Whether the boresight has a constant velocity in every scan."""
+        """True for a boresight with a constant velocity in every scan."""
         return False
 
 

@@ -45,7 +45,7 @@ class Raster(Scans):
 
     @property
     def straight(self) -> bool:
-        """Whether no turnaround is simulated, and nothing added."""
+        """True where no turnaround is simulated, and nothing is added."""
         return self.turning is None and self.added is None
 
 
