@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from scipy.fft import dct, idct
 
-from mapmaker.binning import BinnedMap
+from mapmaker.binning import BinnedMap, map_shape
 from mapmaker.errors import InsufficientDataError
 from mapmaker.geometry import MapGeometry
 from mapmaker.iterative import StreamBlock, check_pixels, subtract_sky
@@ -255,7 +255,7 @@ def gls_map(
     observations
     sample_rate_hz
     options
-    sky_mk : (n_y, n_x), optional
+    sky_mk : (n_stokes, n_y, n_x), optional
         Earlier map, subtracted from the streams before their noise is measured; needed unless the sky is faint compared
         with the noise.
 
@@ -270,7 +270,7 @@ def gls_map(
     """
     number("sample_rate_hz", sample_rate_hz, above=0)
     if sky_mk is not None:
-        sky_mk = reals("sky_mk", sky_mk, (geometry.n_y, geometry.n_x))
+        sky_mk = reals("sky_mk", sky_mk, map_shape(geometry))
     n_pixel = geometry.n_y * geometry.n_x
     right = np.zeros(n_pixel)
     scans, discarded = [], 0
@@ -333,7 +333,7 @@ def _solved(
         callback=lambda _: steps.append(1),
     )
     residual = np.linalg.norm(right - normal(sky)) / (np.linalg.norm(right) or 1.0)
-    shape = (geometry.n_y, geometry.n_x)
+    shape = map_shape(geometry)
     item = BinnedMap(geometry, (sky * weight).reshape(shape), weight.reshape(shape), hits.reshape(shape))
     return GlsMap(item, len(steps), float(residual), failed == 0, discarded)
 
