@@ -164,7 +164,9 @@ def test_a_source_is_found_by_its_beam():
     rng = np.random.default_rng(3)
     y, x = np.indices((60, 60))
     source = 3 * np.exp(-((x - 30) ** 2 + (y - 30) ** 2) * 4 * np.log(2) / 5**2)
-    item = BinnedMap(geometry, source + rng.standard_normal((1, 60, 60)), np.ones((1, 60, 60)), np.ones((1, 60, 60), int))
+    item = BinnedMap(
+        geometry, source + rng.standard_normal((1, 60, 60)), np.ones((1, 60, 60)), np.ones((1, 60, 60), int)
+    )
     assert significant(item, 5e-4, 5.0, 0.0)[0, 30, 30]
     assert not significant(item, NARROW, 5.0, 0.0)[0, 30, 30]
 
