@@ -19,6 +19,7 @@ from mapmaker.normal_equations import NoiseWeight, NormalBlock
 from surveysim.reduction.setup import Setup
 from surveysim.scene.map_section import MapSection
 from surveysim.scene.scene import survey_hash
+from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.simulation import observation_path
 
 
@@ -46,19 +47,28 @@ class BlockWeights:
     noise: NoiseWeight
 
 
-def measured_weight(setup: Setup, rows: np.ndarray, data_mk: np.ndarray, bounds: np.ndarray) -> NoiseWeight:
+def measured_weight(setup: Setup, rows: np.ndarray | slice, data_mk: np.ndarray, bounds: np.ndarray) -> NoiseWeight:
     """Noise weight of the cleaned streams (n, n_samp) of the detectors `rows` in their kept scans (n_kept, 2)."""
     section, rate = setup.scene.map, setup.observing.scans.sample_rate_hz
     if section.maker == "destriped":
         weight = setup.analysis.weight_of(rows)
         length = max(2, round(section.destriped.baseline_s * rate))
-        return BaselineWeight(np.ones(len(rows)) if weight is None else weight, length)
+        return BaselineWeight(np.ones(len(data_mk)) if weight is None else weight, length)
     return measure_noise(data_mk, bounds, rate, noise_options(section))
+
+
+def block_weights(
+    block: Block, rows: np.ndarray | slice, normal: NormalBlock, flags: np.ndarray | None
+) -> BlockWeights:
+    """Weights of a block whose detectors `rows` are mapped, with the flags (n_det, n_samp) of all."""
+    lost = None if flags is None else flags[rows]
+    numbers = np.arange(len(normal.index)) if isinstance(rows, slice) else rows
+    return BlockWeights(block.number, numbers, normal.scan_bounds, lost, normal.noise)
 
 
 def noise_options(section: MapSection) -> GlsOptions:
     """Options of the noise model of a scene."""
-    of = section.solver
+    of = section.likelihood
     return GlsOptions((0.0, *of.band_edges_hz, np.inf), of.max_modes, of.eigenvalue_cut)
 
 
@@ -69,7 +79,10 @@ def weights_file(directory: Path, observation: int) -> Path:
 
 def save_weights(path: Path, setup: Setup, observation: int, blocks: Sequence[BlockWeights]) -> None:
     """Write the weights of an observation atomically."""
-    content: dict[str, np.ndarray] = {"survey": np.array(survey_hash(setup.scene)), "observation": np.array(observation)}
+    content: dict[str, Any] = {
+        "survey": np.array(survey_hash(setup.scene)),
+        "observation": np.array(observation),
+    }
     for item in blocks:
         arrays = {"rows": item.rows, "bounds": item.bounds, **_arrays(item.noise)}
         if item.lost is not None:

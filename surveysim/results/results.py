@@ -30,6 +30,7 @@ from surveysim.runtime.errors import InsufficientDataError
 from surveysim.runtime.strict_json import known
 from surveysim.runtime.table import Table
 from surveysim.survey.coadds import CoAdds
+from surveysim.survey.convergence import convergence_warnings
 from surveysim.survey.discarded_scans import Discards, discards
 from surveysim.survey.error_modes import Gain
 from surveysim.survey.scores import DataSetScore, flux_removed
@@ -127,8 +128,9 @@ class SurveyResult:
 
     @property
     def warnings(self) -> list[str]:
-        """Lines on discarded scans and on the coverage of the signal simulations."""
-        return [*self.discards.warnings, *signal_coverage_warnings(self.setup.analysis, self.coadds)]
+        """Lines on discarded scans, the coverage of the signal simulations, and maps that have not converged."""
+        of_signals = signal_coverage_warnings(self.setup.analysis, self.coadds)
+        return [*self.discards.warnings, *of_signals, *convergence_warnings(self.setup.scene, self.coadds)]
 
     @property
     def estimate(self) -> Estimate | None:

@@ -86,6 +86,11 @@ class MapSection(Section):
         """Options of the solved maker; the defaults where the scene has none."""
         if self.maker == "destriped":
             return self.destriped
+        return self.likelihood
+
+    @property
+    def likelihood(self) -> MaximumLikelihood:
+        """Options of the maker "maximum_likelihood"; the defaults where the scene has none."""
         return self.maximum_likelihood or MaximumLikelihood()
 
     @property
