@@ -126,8 +126,8 @@ def check_limits(setup: Setup, limits: StoppingCriteria) -> None:
         raise SceneError("score: missing; a target error is one of a score, which needs it")
     if setup.scene.map.maker != "binned":
         raise SceneError(
-            f"map.maker: found {setup.scene.map.maker!r} with a target error; 'binned' is expected, whose error is known"
-            " before the last observation"
+            f"map.maker: found {setup.scene.map.maker!r} with a target error; 'binned' is expected, whose error is"
+            " known before the last observation"
         )
     if limits.metric not in (known := metric_keys(score.metrics)):
         raise SceneError(f"target metric: found {shown(limits.metric)}; one of {', '.join(known)} is expected")

@@ -13,10 +13,10 @@ def map_maker_entry(scene: Scene, coadds: CoAdds) -> dict[str, Any]:
 
 def convergence_warnings(scene: Scene, coadds: CoAdds) -> list[str]:
     """Return a line for each map that has not converged."""
+    maker = scene.map.maker
     return [
-        f"{item.name}: the {scene.map.maker.replace('_', '-')} map has not converged after {item.iterations} iterations,"
-        f" its residual is {item.residual:.2g}; its score can't be trusted. Remedy: a larger"
-        f" map.{scene.map.maker}.max_iterations"
+        f"{item.name}: the {maker.replace('_', '-')} map has not converged after {item.iterations} iterations, its"
+        f" residual is {item.residual:.2g}; its score can't be trusted. Remedy: a larger map.{maker}.max_iterations"
         for item in coadds.convergence
         if not item.converged
     ]
