@@ -43,6 +43,12 @@ class CleaningPipeline:
         """Names of the steps, joined."""
         return "+".join(self.steps)
 
+    @property
+    def spatial_step(self) -> str | None:
+        """Name of the one step that is no filter in time, "none" without any; None for several."""
+        found = [name for name in self.steps if name not in ("none", *TIME_FILTERS)]
+        return "none" if not found else found[0] if len(found) == 1 else None
+
     def uses(self, name: str) -> bool:
         """Tell whether a step is the named algorithm."""
         return name in self.steps
