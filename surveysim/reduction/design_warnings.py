@@ -10,6 +10,7 @@ import numpy as np
 
 from mapmaker.uncertainty import FEWEST, draws
 from surveysim.atmosphere.weather import survey_pwv_quantile
+from surveysim.reduction.filter_checks import filtered_share
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.numbers import plural
 from surveysim.scene.detector_table import KEY
@@ -17,12 +18,14 @@ from surveysim.telescope.optics import scene_chain
 from surveysim.telescope.patterns.figures import Figure, covered_width
 from surveysim.telescope.patterns.raster import Raster
 from surveysim.telescope.patterns.track import Track, longest_gap
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.expected_losses import sampled_share
 from surveysim.timestreams.observed_block import observation_levels
 from surveysim.timestreams.simulation import boresight_path, camera_white, observation_path
 
 MOST_APART = 0.02  # of two conversions to CMB temperature
 MOST_LOST = 0.2  # of the samples
+MOST_FILTERED = 0.01  # of the white noise
 LONG_GAP = 10  # in a track, in typical steps
 FIRST = 4  # observations that tell the reach of a pattern
 MOST_TURNED_RAD = math.radians(10)
@@ -231,6 +234,20 @@ def _few_blocks(setup: Setup) -> str:
     )
 
 
+def _filtered_white(setup: Setup) -> str:
+    """Warn of filters in time that remove noise from the range in which the white level is measured."""
+    score, scans = setup.scene.score, setup.observing.scans
+    if score is None:
+        return ""
+    share = filtered_share(setup.scene, samples_per_scan(scans), score.white_noise_above_hz)
+    if share <= MOST_FILTERED:
+        return ""
+    return (
+        f"score.white_noise_above: filters of cleaning.algorithm remove {100 * share:.0f} % of the noise above"
+        f" {score.white_noise_above_hz:g} Hz, and the measured white level is lower by as much."
+    )
+
+
 CHECKS: tuple[Callable[[Setup], str], ...] = (
     _sampling,
     _track_gap,
@@ -245,4 +262,5 @@ CHECKS: tuple[Callable[[Setup], str], ...] = (
     _conversions,
     _lost_samples,
     _few_blocks,
+    _filtered_white,
 )
