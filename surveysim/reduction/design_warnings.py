@@ -18,6 +18,7 @@ from surveysim.telescope.patterns.figures import Figure, covered_width
 from surveysim.telescope.patterns.raster import Raster
 from surveysim.telescope.patterns.track import Track, longest_gap
 from surveysim.timestreams.expected_losses import sampled_share
+from surveysim.timestreams.fixed_sky import sky_notes
 from surveysim.timestreams.observed_block import observation_levels
 from surveysim.timestreams.simulation import camera_white
 
@@ -27,8 +28,9 @@ LONG_GAP = 10  # in a track, in typical steps
 
 
 def design_warnings(setup: Setup) -> list[str]:
-    """Return a sentence for each questionable choice of a scene, in the order of `CHECKS`."""
-    return [text for check in CHECKS if (text := check(setup))]
+    """Return a sentence for each questionable choice of a scene, in the order of `CHECKS`, and notes on its sky."""
+    of_sky = sky_notes(setup.scene, _narrowest(setup))
+    return [*(text for check in CHECKS if (text := check(setup))), *of_sky]
 
 
 def _narrowest(setup: Setup) -> float:
