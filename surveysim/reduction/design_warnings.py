@@ -20,6 +20,7 @@ from surveysim.telescope.patterns.raster import Raster
 from surveysim.telescope.patterns.track import Track, longest_gap
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.expected_losses import sampled_share
+from surveysim.timestreams.fixed_sky import sky_notes
 from surveysim.timestreams.observed_block import observation_levels
 from surveysim.timestreams.simulation import boresight_path, camera_white, observation_path
 
@@ -32,8 +33,9 @@ MOST_TURNED_RAD = math.radians(10)
 
 
 def design_warnings(setup: Setup) -> list[str]:
-    """Return a sentence for each questionable choice of a scene, in the order of `CHECKS`."""
-    return [text for check in CHECKS if (text := check(setup))]
+    """Return a sentence for each questionable choice of a scene, in the order of `CHECKS`, and notes on its sky."""
+    of_sky = sky_notes(setup.scene, _narrowest(setup))
+    return [*(text for check in CHECKS if (text := check(setup))), *of_sky]
 
 
 def _narrowest(setup: Setup) -> float:
