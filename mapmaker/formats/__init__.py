@@ -3,6 +3,7 @@
 Each format is one file of this package. A file is recognized by its content.
 """
 
+import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from mapmaker.errors import InputError
 from mapmaker.files import regular_file
 from mapmaker.formats import g3, hdf5, mustang2, toast
 from mapmaker.timestreams import Timestreams
+from mapmaker.validation import number
 
 _HEAD = 2880  # bytes that tell a format; the first block of a FITS file
 
@@ -69,11 +71,15 @@ def read_timestreams(path: str | Path, *, fwhm_rad: float | None = None) -> Time
 
     Raises
     ------
+    ValueError
+        For a beam out of range.
     InputError
         In one line that names the file: for one that is unreadable, truncated, no regular file, of an unknown format or
         lacks something, for shapes, types, units or values that are refused, and for a format whose library is not
         installed.
     """
+    if fwhm_rad is not None:
+        fwhm_rad = number("fwhm_rad", fwhm_rad, above=0, below=math.pi)
     return file_format(path).read(path, fwhm_rad)
 
 

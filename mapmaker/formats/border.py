@@ -1,4 +1,4 @@
-"""Checks at the border: a reader refuses a file in one line, and takes from HDF5 only values that the file itself holds."""
+"""Checks at the border: a reader refuses a file in one line, and takes from HDF5 only values that the file holds."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

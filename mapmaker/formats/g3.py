@@ -1,7 +1,7 @@
 """G3 frames of spt3g and so3g: an Observation, a Calibration, and a Scan frame for each scan and turnaround.
 
-Units are those of ``G3Units``. In spt3g's maps the rotation of a sample takes the x axis to the boresight; before it, the
-z axis points down and the y axis to the right in the array.
+Units are those of ``G3Units``. In spt3g's maps the rotation of a sample takes the x axis to the boresight;
+before it, the z axis points down and the y axis to the right in the array.
 """
 
 from collections.abc import Iterator
@@ -14,11 +14,11 @@ import numpy as np
 
 from mapmaker.errors import InputError
 from mapmaker.files import atomic_write
-from mapmaker.formats.border import detector_names, refusals, unit_rotations
+from mapmaker.formats.border import check_shape, detector_names, refusals, unit_rotations
 from mapmaker.formats.horizon import Site, equatorial
 from mapmaker.formats.rotations import about_axis, product, rotated, sky_angles
 from mapmaker.timestreams import FocalPlane, Timestreams
-from mapmaker.validation import argument_error, integers, number, reals
+from mapmaker.validation import argument_error, integers, number, reals, whole
 
 _DATA, _TIMES, _ROTATION = "CalTimestreams", "DetectorSampleTimes", "OnlineRaDecRotation"
 _RA, _DEC, _AZ, _EL = "BoresightRa", "BoresightDec", "BoresightAz", "BoresightEl"
@@ -42,7 +42,7 @@ def losses(streams: Timestreams) -> tuple[str, ...]:
     return ("attributes that are arrays",) if arrays else ()
 
 
-def _library() -> tuple[Any, Any]:
+def _library(path: str | Path) -> tuple[Any, Any]:
     """Modules ``core`` and ``calibration`` of spt3g, or of its copy in so3g; one process can load only one of them."""
     try:
         from spt3g import calibration, core
@@ -51,13 +51,13 @@ def _library() -> tuple[Any, Any]:
             import so3g  # noqa: F401, which makes its copy importable
             from spt3g import calibration, core
         except ImportError:
-            raise InputError("G3 frames need spt3g: pip install 'mmcam-surveysim[g3]'") from None
+            raise InputError(f"{path}: G3 frames need spt3g: pip install 'mmcam-surveysim[g3]'") from None
     return core, calibration
 
 
 def write(path: str | Path, streams: Timestreams) -> None:
     """Write one observation, atomically; arguments and errors as for `mapmaker.write_timestreams`."""
-    core, calibration = _library()
+    core, calibration = _library(path)
     if not hasattr(core.G3TimestreamUnits, "Trj"):
         raise InputError(f"{path}: this spt3g, as that in so3g, has no unit Trj; spt3g 1.0 or later is expected")
     names = detector_names(streams.focal_plane)
@@ -186,12 +186,13 @@ class _Scan:
 
 def read(path: str | Path, fwhm_rad: float | None) -> Timestreams:
     """Read one observation; arguments and errors as for `mapmaker.read_timestreams`."""
-    core, _ = _library()
+    core, _ = _library(path)
     with refusals(path), _silent(core):
-        attributes, calibrations, scans = {}, [], []
+        attributes: dict[str, Any] = {}
+        calibrations, scans = [], []
         for frame in core.G3File(str(path)):
             if frame.type == core.G3FrameType.Observation:
-                attributes |= {key: frame[key] for key in frame.keys() if isinstance(frame[key], _SCALARS)}
+                attributes |= {key: frame[key] for key in frame if isinstance(frame[key], _SCALARS)}
             elif frame.type == core.G3FrameType.Calibration and _DETECTORS in frame:
                 calibrations.append(_calibration(core, frame))
             elif frame.type == core.G3FrameType.Scan:
@@ -211,14 +212,17 @@ def _calibration(core: Any, frame: Any) -> _Calibration:
 
 
 def _scan(core: Any, frame: Any) -> _Scan:
-    if lacking := [name for name in (_DATA, *[_ROTATION] * (_AZ not in frame or _EL not in frame)) if name not in frame]:
+    needed = (_DATA, *[_ROTATION] * (_AZ not in frame or _EL not in frame))
+    if lacking := [name for name in needed if name not in frame]:
         raise InputError(f"a Scan frame lacks {lacking[0]}")
     data = frame[_DATA]
     if str(data.units) not in _TEMPERATURES:
         raise argument_error(f"the unit of {_DATA}", str(data.units), f"{' or '.join(_TEMPERATURES)} is")
-    times = frame[_TIMES] if _TIMES in frame else data.times
+    times = frame.get(_TIMES, data.times)
     time = np.array([each.time for each in times], dtype=np.int64) / core.G3Units.s
     streams = {name: np.array(values, dtype=np.float64) / core.G3Units.mK for name, values in data.items()}
+    for name, values in streams.items():
+        check_shape(f"{_DATA}[{name!r}]", values.shape, time.shape)
     lost = {name: np.ones(len(time), bool) for name in (frame[_FLAGS].keys() if _FLAGS in frame else ())}
     for name, edges in frame[_SAMPLE_FLAGS].items() if _SAMPLE_FLAGS in frame else ():
         lost[name] = lost.get(name, False) | _flags(list(edges), len(time))
@@ -227,7 +231,7 @@ def _scan(core: Any, frame: Any) -> _Scan:
         rotation = np.asarray(frame[_ROTATION], dtype=np.float64)
     else:
         horizon = np.array([np.asarray(frame[key]) for key in (_AZ, _EL)]) / core.G3Units.rad
-    number = frame[_SCAN] if _SCAN in frame else None
+    number = whole(_SCAN, frame[_SCAN], least=0, most=2**63 - 1) if _SCAN in frame else None
     return _Scan(time, streams, lost, number, bool(frame.get(_TURNAROUND, False)), rotation, horizon)
 
 
@@ -247,8 +251,6 @@ def _streams_of(
     for scan in scans:
         if wrong := sorted(scan.data_mk.keys() ^ set(calibration.order)):
             raise InputError(f"{wrong[0]!r} is in {_DATA} or in {_DETECTORS} only; both are expected")
-        if scan.data_mk and len(scan.time_s) != len(next(iter(scan.data_mk.values()))):
-            raise InputError(f"found {len(scan.time_s)} times of another number of samples in a Scan frame")
     shape = (len(calibration.order), sum(len(scan.time_s) for scan in scans))
     data, lost = np.empty(shape), np.zeros(shape, bool)
     number, done, counted = np.full(shape[1], -1), 0, 0

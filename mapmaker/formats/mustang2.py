@@ -133,7 +133,7 @@ def _streams_of(table: Any, fwhm_rad: float | None) -> Timestreams:
 
 
 def _by_detector(pixel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows in the order of the detectors, each with its samples in the order of the file; and the detectors' numbers."""
+    """Rows by detector, each with its samples in the order of the file; and the numbers of the detectors."""
     numbers, first, detector, counts = np.unique(pixel, return_index=True, return_inverse=True, return_counts=True)
     if (counts != counts[0]).any():
         other = int(np.argmax(counts != counts[0]))

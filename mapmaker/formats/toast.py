@@ -1,8 +1,8 @@
 """HDF5 files of TOAST 3 observations, read and written without TOAST.
 
-The layout is that of ``toast.io.save_hdf5`` (TOAST 3.0, format version 2). Quaternions are (x, y, z, w) and rotate the z
-axis to the line of sight. The x axis of a detector is the direction of its polarization. In the frame of the boresight
-the x axis of this project's arrays is the negative y axis, and their y axis the negative x axis.
+The layout is that of ``toast.io.save_hdf5`` (TOAST 3.0, format version 2). Quaternions are (x, y, z, w). They rotate
+the z axis to the line of sight. The x axis of a detector is the direction of its polarization. In the frame of the
+boresight, the negative y axis is the x axis of this project's arrays, and the negative x axis is their y axis.
 """
 
 import json
@@ -18,7 +18,7 @@ from mapmaker.files import atomic_write
 from mapmaker.formats.border import check_shape, data_set, detector_names, group, millikelvin, refusals, unit_rotations
 from mapmaker.formats.rotations import about_axis, product, rotated, sky_angles
 from mapmaker.timestreams import FocalPlane, Timestreams
-from mapmaker.validation import argument_error, integers, number, reals
+from mapmaker.validation import argument_error, increasing, integers, number, reals
 
 _VERSION = 2
 _READ = (1, 2)  # versions with this layout
@@ -106,7 +106,9 @@ def _write_metadata(file: Any, streams: Timestreams) -> None:
 def _write_samples(file: Any, streams: Timestreams) -> None:
     time, outside = streams.time_s, streams.scan < 0
     boresight = product(
-        about_axis(2, streams.ra_rad), about_axis(1, np.pi / 2 - streams.dec_rad), about_axis(2, -streams.array_angle_rad)
+        about_axis(2, streams.ra_rad),
+        about_axis(1, np.pi / 2 - streams.dec_rad),
+        about_axis(2, -streams.array_angle_rad),
     )
     shared = {
         "times": time.astype(np.float64),
@@ -151,14 +153,14 @@ def _streams_of(file: Any, fwhm_rad: float | None) -> Timestreams:
     if version not in _READ:
         raise argument_error("the attribute toast_format_version", version, f"{_READ[0]} to {_READ[-1]} is")
     names = json.loads(file.attrs["observation_detectors"])
-    time = reals("shared/times", data_set(file, "shared/times")[()], ("n_samp",)).astype(np.float64, copy=False)
+    time = increasing("shared/times", data_set(file, "shared/times")[()], fewest=1)
     shape = (len(names), len(time))
     scan = _scans(file, time)
     lost = _flags(file, names, shape, scan >= 0)
     boresight = _boresight(file, len(time))
     plane = _focal_plane(file, names, fwhm_rad)
     data = _signal_mk(file, shape)
-    return Timestreams(data, time, *boresight, scan, plane, _metadata(file), lost)
+    return Timestreams(data, time, *boresight, scan, plane, _attributes(file), lost)
 
 
 def _signal_mk(file: Any, shape: tuple[int, int]) -> np.ndarray:
@@ -194,16 +196,17 @@ def _scans(file: Any, time: np.ndarray) -> np.ndarray:
     if (start[1:] < stop[:-1]).any():
         raise InputError(f"{name} has intervals that overlap or are not in order; others are expected")
     scan = np.full(len(time), -1)
-    for number, first, end in zip(_scan_numbers(file, len(start)), start, stop, strict=True):
-        scan[first:end] = number
+    for of_span, first, end in zip(_scan_numbers(file, len(start)), start, stop, strict=True):
+        scan[first:end] = of_span
     return scan
 
 
 def _scan_numbers(file: Any, n_scan: int) -> np.ndarray:
-    other = file.get("metadata/other", {})
+    other = _metadata(file)
     if _SCAN_NUMBERS not in other:
         return np.arange(n_scan)
-    return integers(f"metadata/other/{_SCAN_NUMBERS}", data_set(other, _SCAN_NUMBERS)[()], (n_scan,), least=0, empty=True)
+    numbers = data_set(other, _SCAN_NUMBERS)[()]
+    return integers(f"metadata/other/{_SCAN_NUMBERS}", numbers, (n_scan,), least=0, empty=True)
 
 
 def _flags(file: Any, names: list[str], shape: tuple[int, int], inside: np.ndarray) -> np.ndarray | None:
@@ -214,8 +217,8 @@ def _flags(file: Any, names: list[str], shape: tuple[int, int], inside: np.ndarr
         lost |= inside & _masked("shared/flags", data_set(shared, "flags")[()], shape[1:], _SHARED_MASK)
     if "flags" in group(file, "detdata"):
         lost |= _masked("detdata/flags", _detector_data(file, "flags", shape)[()], shape, _DETECTOR_MASK)
-    whole = json.loads(file.attrs.get("observation_detector_flags", "{}"))
-    lost |= _masked("observation_detector_flags", [whole.get(name, 0) for name in names], shape[:1], _DETECTOR_MASK)[:, None]
+    name, whole = "observation_detector_flags", json.loads(file.attrs.get("observation_detector_flags", "{}"))
+    lost |= _masked(name, [whole.get(of_detector, 0) for of_detector in names], shape[:1], _DETECTOR_MASK)[:, None]
     return lost if lost.any() else None
 
 
@@ -260,11 +263,14 @@ def _beam(column: Any) -> float:
     return number(name, float(np.median(widths)), above=0)
 
 
-def _metadata(file: Any) -> dict[str, Any]:
+def _metadata(file: Any) -> Any:
+    """Group of the metadata that are no objects of TOAST; empty in a file of version 1."""
+    return group(group(file, "metadata"), "other") if "other" in file.get("metadata", {}) else {}
+
+
+def _attributes(file: Any) -> dict[str, Any]:
     """Numbers and texts of the metadata, without quantities."""
-    other = file.get("metadata/other")
-    attributes = {} if other is None else dict(other.attrs)
+    attributes = dict(getattr(_metadata(file), "attrs", {}))
     attributes.pop("python_data_type", None)
-    return {
-        name: value for name, value in attributes.items() if ":" not in name and np.asarray(value).dtype.kind in "biufSU"
-    }
+    plain = {name: value for name, value in attributes.items() if np.asarray(value).dtype.kind in "biufSU"}
+    return {name: value for name, value in plain.items() if ":" not in name}
