@@ -9,8 +9,8 @@ from typing import Any
 _PUBLIC = {
     "FocalPlane": "timestreams",
     "Timestreams": "timestreams",
-    "read_timestreams": "timestreams",
-    "write_timestreams": "timestreams",
+    "read_timestreams": "formats",
+    "write_timestreams": "formats",
     "scan_bounds": "timestreams",
     "fill_flagged": "lost_samples",
     "TemplateOptions": "cleaning",
