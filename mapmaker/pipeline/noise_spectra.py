@@ -15,7 +15,10 @@ _SHALLOW = 0.02  # of the largest smoothed weight: below it the taper is 0
 
 @dataclass(frozen=True)
 class NoiseSpectra:
-    """PSDs of noise maps.
+    """PSDs of noise maps, for the mean noise of the map of all data.
+
+    The root of the weight makes the noise of a noise map even before its PSD is taken. Divisions that leave pixels with
+    one half alone are then comparable with others.
 
     Attributes
     ----------
@@ -29,6 +32,8 @@ class NoiseSpectra:
         [mK^2 sr].
     n_modes : (n_split, n_bin)
         Independent degrees of freedom.
+    coverage : (n_split,)
+        Fraction of the weight of the map in pixels that both halves have.
     """
 
     edges_ell: np.ndarray
@@ -36,28 +41,33 @@ class NoiseSpectra:
     names: tuple[str, ...]
     psd_mk2: np.ndarray
     n_modes: np.ndarray
+    coverage: np.ndarray
 
 
 def noise_spectra(sums: MapSums, fwhm_rad: float) -> NoiseSpectra | None:
     """PSDs of all noise maps; None without a division that has two halves, or for a map of too few pixels."""
-    geometry, taper = sums.geometry, coverage_taper(sums.map(), fwhm_rad)
+    geometry, item = sums.geometry, sums.map()
+    whole, taper = item.weight[0], coverage_taper(item, fwhm_rad)
+    even = float(np.sum(taper**2) / np.sum(taper**2 / np.where(whole > 0, whole, 1.0)))
     edges, found = _edges(taper, geometry.pixel_rad), {}
     for number, split in enumerate(sums.splits):
         item = sums.noise_map(number)
+        weight = item.weight[0]
         # Pixels that one half lacks are left out.
-        of_map = np.where(item.weight[0] > 0, taper, 0.0)
+        of_map = np.where(weight > 0, taper, 0.0)
         if not of_map.any():
             continue
         try:
             rings = annuli(geometry.n_y, geometry.n_x, geometry.pixel_rad, edges_ell=edges, taper=of_map)
         except InsufficientDataError:
             return None
-        found[split.name] = rings, map_psd(item.signal_mk[0], of_map, geometry.pixel_rad, rings)
+        psd = map_psd(item.signal_mk[0] * np.sqrt(weight / even), of_map, geometry.pixel_rad, rings)
+        found[split.name] = psd, rings.n_modes, weight.sum() / whole.sum()
+        ell = rings.ell
     if not found:
         return None
-    rings = next(iter(found.values()))[0]
-    psd, n_modes = (np.array(rows) for rows in zip(*((psd, of.n_modes) for of, psd in found.values()), strict=True))
-    return NoiseSpectra(edges, rings.ell, tuple(found), psd, n_modes)
+    psd, n_modes, coverage = (np.array(rows) for rows in zip(*found.values(), strict=True))
+    return NoiseSpectra(edges, ell, tuple(found), psd, n_modes, coverage)
 
 
 def coverage_taper(item: BinnedMap, fwhm_rad: float) -> np.ndarray:

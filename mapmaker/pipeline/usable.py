@@ -1,6 +1,6 @@
 """Data of one file that cleaning can use: scans that move, samples that are finite, detectors that are alive."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -134,29 +134,34 @@ def _constant(data_mk: np.ndarray, lost: np.ndarray, bounds: np.ndarray) -> np.n
 
 
 def leave_out(state: Usable, bad: np.ndarray, reason: str, details: dict[tuple[int, int], str] | None = None) -> Usable:
-    """Leave detectors out of scans (n_det, n_scan), and out of all where they are left out of more than half."""
+    """Leave detectors out of scans (n_det, n_scan), and out of all where they are left out of more than half.
+
+    Parameters
+    ----------
+    state
+    bad
+    reason
+    details
+        Values that were found, by detector and scan.
+    """
     new = bad & ~state.left_out & state.live[:, None]
-    left_out, lost, live = state.left_out | new, state.lost.copy(), state.live.copy()
-    dropped, lengths = list(state.dropped), np.diff(state.bounds, axis=1)[:, 0]
-    mostly = live & new.any(axis=1) & (left_out.sum(axis=1) > len(state.bounds) / 2)
-    for d in np.flatnonzero(new.any(axis=1)):
-        scans = np.flatnonzero(new[d])
-        everywhere = new[d].all()
-        if not everywhere:
-            for s in scans:
-                place = int(state.numbers[s])
-                detail = (details or {}).get((int(d), int(s)), "")
-                dropped.append(
-                    Dropped(state.name, PART, reason, state.labels[d], place, samples=int(lengths[s]), detail=detail)
-                )
-        if mostly[d]:
-            why = reason if everywhere else MOST_SCANS
-            share = f"{left_out[d].sum()} of {len(lengths)} scans"
-            samples = int(lengths.sum() if everywhere else lengths[~left_out[d]].sum())
-            dropped.append(Dropped(state.name, DETECTOR, why, state.labels[d], samples=samples, detail=share))
-        for s in scans:
-            lost[d, slice(*state.bounds[s])] = True
-    return Usable(state.name, state.labels, state.bounds, state.numbers, live & ~mostly, lost, left_out, tuple(dropped))
+    left_out = state.left_out | new
+    half, lengths = len(state.bounds) / 2, np.diff(state.bounds, axis=1)[:, 0]
+    mostly = new.any(axis=1) & (left_out.sum(axis=1) > half)
+    lost, dropped = state.lost.copy(), list(state.dropped)
+    for d, s in np.argwhere(new):
+        lost[d, slice(*state.bounds[s])] = True
+        if not mostly[d]:
+            detail, samples = (details or {}).get((int(d), int(s)), ""), int(lengths[s])
+            dropped.append(
+                Dropped(state.name, PART, reason, state.labels[d], int(state.numbers[s]), samples, detail)
+            )
+    for d in np.flatnonzero(mostly):
+        why = reason if new[d].sum() > half else MOST_SCANS
+        samples = int(lengths[~state.left_out[d]].sum())
+        share = f"{left_out[d].sum()} of {len(lengths)} scans"
+        dropped.append(Dropped(state.name, DETECTOR, why, state.labels[d], samples=samples, detail=share))
+    return replace(state, live=state.live & ~mostly, lost=lost, left_out=left_out, dropped=tuple(dropped))
 
 
 def without_bad_scans(state: Usable) -> Usable:
@@ -170,13 +175,10 @@ def without_bad_scans(state: Usable) -> Usable:
         samples = count * int(np.diff(state.bounds[s])[0])
         detail = f"{count} of {state.live.sum()} detectors left"
         dropped.append(Dropped(state.name, SCAN, MOST_DETECTORS, "", int(state.numbers[s]), samples, detail))
-    return Usable(
-        state.name,
-        state.labels,
-        state.bounds[~bad],
-        state.numbers[~bad],
-        state.live,
-        state.lost,
-        state.left_out[:, ~bad],
-        tuple(dropped),
+    return replace(
+        state,
+        bounds=state.bounds[~bad],
+        numbers=state.numbers[~bad],
+        left_out=state.left_out[:, ~bad],
+        dropped=tuple(dropped),
     )
