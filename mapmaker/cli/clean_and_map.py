@@ -15,7 +15,10 @@ _MOST_LINES = 12  # reasons that are printed
 
 
 def clean_and_map(
-    files: Annotated[list[Path], typer.Argument(help="Files of time-streams, in order of time.", show_default=False)],
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILES", help="Files of time-streams, in order of time.", show_default=False),
+    ],
     out: Annotated[Path, typer.Option("--out", help="Directory for the results.", show_default=False)],
     config: Annotated[
         Path | None,

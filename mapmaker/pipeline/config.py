@@ -2,7 +2,7 @@
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
@@ -22,8 +22,8 @@ from mapmaker.pipeline.config_types import (
 )
 
 _MOST_BYTES = 10**6  # of a configuration
-SPLITS = ("files", "time", "direction", "detectors")
-FOUND = ("jumps", "glitches", "noise")
+Kind = Literal["files", "time", "direction", "detectors"]
+Test = Literal["jumps", "glitches", "noise"]
 
 
 class MapSection(Section):
@@ -61,7 +61,7 @@ class Circle(Section):
 class FlagSection(Section):
     """Tests of the time-streams, and limits of usable data."""
 
-    find: Annotated[tuple[Literal["jumps", "glitches", "noise"], ...], Field(strict=False)] = FOUND
+    find: Annotated[tuple[Test, ...], Field(strict=False)] = get_args(Test)
     """Tests of the cleaned streams."""
     glitch_sigma: number(least=3, most=1e6) = 6.0  # type: ignore[valid-type]
     """A sample farther than this from 0, in robust standard deviations of its detector, is a glitch."""
@@ -87,7 +87,7 @@ class FlagSection(Section):
 class JackknifeSection(Section):
     """Jackknife maps: differences of the maps of two halves of the data."""
 
-    splits: Annotated[tuple[Literal["files", "time", "direction", "detectors"], ...], Field(strict=False)] = SPLITS
+    splits: Annotated[tuple[Kind, ...], Field(strict=False)] = get_args(Kind)
     """Halves by files at random, in time, by scan direction, or by detectors. The first is the noise map."""
     files: whole(1, 1000) = 4  # type: ignore[valid-type]
     """Number of random divisions of the files into halves."""

@@ -47,7 +47,9 @@ def extended(field: Field | None, streams: Timestreams, section: MapSection) -> 
         raise OutOfRangeError("its scans are 90 deg or more from the centre of the map")
     plane = streams.focal_plane
     reach = float(np.hypot(plane.x_rad, plane.y_rad).max())
-    low, high = (tuple(float(of(item)) + sign * reach for item in offsets) for of, sign in ((np.min, -1), (np.max, 1)))
+    east, north = offsets
+    low = float(east.min()) - reach, float(north.min()) - reach
+    high = float(east.max()) + reach, float(north.max()) + reach
     if field is None:
         return Field(centre, low, high, plane.fwhm_rad)
     lower, higher = np.minimum(field.low_rad, low), np.maximum(field.high_rad, high)

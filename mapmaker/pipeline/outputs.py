@@ -3,25 +3,25 @@
 import os
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
-from mapmaker.binning import write_fits, write_healpix_pixels
+from mapmaker.binning import INVERSE_VARIANCE_UNIT, write_fits, write_healpix_pixels
 from mapmaker.errors import InputError
 from mapmaker.files import atomic_write, write_ecsv
 from mapmaker.pipeline.dropped import dropped_columns
-from mapmaker.pipeline.run import Result
+from mapmaker.pipeline.report_page import write_report
+from mapmaker.pipeline.run import DetectorRecord, FileRecord, Result
 
 REPORT = "report.html"
 # Names of files that this program writes, which it may replace.
 _OURS = re.compile(
     r"(map|healpix)\.fits|noise/[a-z]+(_\d+)?\.fits|(dropped|files|detectors|noise_psd)\.ecsv|config\.json|report\.html"
 )
-_DETECTOR_UNITS = {"noise_mk": "mK", "white_mk": "mK", "weight": "mK-2"}
 
 
 def check_directory(directory: Path, force: bool) -> None:
@@ -68,9 +68,7 @@ def _move(new: Path, directory: Path) -> None:
 
 
 def write_outputs(directory: Path, result: Result) -> None:
-    """Write all files of a result; the report is made of them last."""
-    from mapmaker.report.clean_and_map import write_report
-
+    """Write all files of a result."""
     header = {"NFILES": sum(item.used for item in result.files)}
     write_fits(directory / "map.fits", result.sums.map(), header)
     for number, split in enumerate(result.sums.splits):
@@ -93,19 +91,18 @@ def write_outputs(directory: Path, result: Result) -> None:
 def write_tables(directory: Path, result: Result) -> None:
     """Write the tables of what was left out, of files, of detectors, and of noise PSDs."""
     write_ecsv(directory / "dropped.ecsv", dropped_columns(result.dropped), {}, {})
-    weight_unit = {"weight": "mK-2"} if result.sums.unit == "mK-2" else {}
-    for name, records, units in (
-        ("files", result.files, weight_unit),
-        ("detectors", result.detectors, _DETECTOR_UNITS | weight_unit),
-    ):
-        columns = {
-            item.name: np.array([getattr(record, item.name) for record in records], item.type)
-            for item in fields(records[0])
-        }
-        write_ecsv(directory / f"{name}.ecsv", columns, {key: unit for key, unit in units.items() if key in columns}, {})
+    of_weight = {"weight": "mK-2"} if result.sums.unit == INVERSE_VARIANCE_UNIT else {}
+    write_ecsv(directory / "files.ecsv", _columns(result.files), of_weight, {})
+    units = {"noise_mk": "mK", "white_mk": "mK"} | of_weight
+    write_ecsv(directory / "detectors.ecsv", _columns(result.detectors), units, {})
     if result.spectra is not None:
         found = result.spectra
         columns = {"ell": found.ell, "ell_low": found.edges_ell[:-1], "ell_high": found.edges_ell[1:]}
         for name, psd, n_modes in zip(found.names, found.psd_mk2, found.n_modes, strict=True):
             columns |= {name: psd, f"{name}_modes": n_modes}
         write_ecsv(directory / "noise_psd.ecsv", columns, dict.fromkeys(found.names, "mK2 sr"), {})
+
+
+def _columns(records: Sequence[FileRecord | DetectorRecord]) -> dict[str, np.ndarray]:
+    names = [(item.name, item.type) for item in fields(records[0])]
+    return {name: np.array([getattr(record, name) for record in records], kind) for name, kind in names}

@@ -105,7 +105,7 @@ def clean_and_map(paths: Sequence[str | Path], config: Config, show: Show = lamb
             weight = sample_weights(item, config.map.weights)
             dropped += [*item.dropped, *sums.add(item, weight, (number, len(good)))]
         except InputError as error:
-            dropped += _of_error(name, error)
+            dropped += _of_error(path, name, error)
         else:
             files[name] = _file_record(item, weight)
             detectors += _detector_records(item, weight)
@@ -138,7 +138,7 @@ def _field(
             streams = read_timestreams(path)
             field = stated_field(streams, config.map) if stated else extended(field, streams, config.map)
         except InputError as error:
-            bad[name] = _of_error(name, error)
+            bad[name] = _of_error(path, name, error)
         show("reading", number + 1)
         if stated and field:
             break
@@ -147,11 +147,11 @@ def _field(
     return field
 
 
-def _of_error(name: str, error: InputError) -> tuple[Dropped, ...]:
+def _of_error(path: str | Path, name: str, error: InputError) -> tuple[Dropped, ...]:
     if isinstance(error, UnusableFileError):
         return error.dropped
     reason = OFF_MAP if "from the centre of the map" in str(error) else UNREADABLE
-    return (Dropped(name, FILE, reason, detail=one_line(error)),)
+    return (Dropped(name, FILE, reason, detail=one_line(error).removeprefix(f"{path}: ")),)
 
 
 def _nothing_left(dropped: Sequence[Dropped]) -> InsufficientDataError:

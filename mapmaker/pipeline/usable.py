@@ -153,9 +153,7 @@ def leave_out(state: Usable, bad: np.ndarray, reason: str, details: dict[tuple[i
         lost[d, slice(*state.bounds[s])] = True
         if not mostly[d]:
             detail, samples = (details or {}).get((int(d), int(s)), ""), int(lengths[s])
-            dropped.append(
-                Dropped(state.name, PART, reason, state.labels[d], int(state.numbers[s]), samples, detail)
-            )
+            dropped.append(Dropped(state.name, PART, reason, state.labels[d], int(state.numbers[s]), samples, detail))
     for d in np.flatnonzero(mostly):
         why = reason if new[d].sum() > half else MOST_SCANS
         samples = int(lengths[~state.left_out[d]].sum())
