@@ -7,7 +7,7 @@ import numpy as np
 
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.errors import InsufficientDataError, OutOfRangeError
-from mapmaker.mode_coupling import ModeCoupling, coupling_flags, usable_bins
+from mapmaker.mode_coupling import ModeCoupling, beam_power, coupling_flags, usable_bins
 from mapmaker.transfer_function import pixel_window
 from mapmaker.validation import argument_error, increasing, reals
 
@@ -83,17 +83,17 @@ def curved_coupling(
     if (np.diff(first_ell) < 1).any():
         empty = int(np.argmin(np.diff(first_ell)))
         raise InsufficientDataError(f"no multipole has {edges_ell[empty]} <= ell < {edges_ell[empty + 1]}")
-    field, ell = CurvedField(taper, first_ell), np.arange(3 * nside)
-    window = reals("beam(ell)", beam(ell.astype(float)), ell.shape, least=0) * healpix_window(ell, nside)
-    transfer, usable = usable_bins(first_ell.size - 1, field.bin_mean(window[: first_ell[-1]]), transfer)
+    field, ell = CurvedField(taper, first_ell), np.arange(3.0 * nside)
+    window = beam_power(beam, ell) * healpix_window(ell, nside)
+    transfer, usable = usable_bins(field.bin_mean(window[: first_ell[-1]]), transfer)
     modes, scatter = _coupled_modes(field, nside)
     coupling = ModeCoupling(
         edges_ell=edges_ell,
-        ell=field.bin_mean(ell[: first_ell[-1]].astype(float)),
+        ell=field.bin_mean(ell[: first_ell[-1]]),
         transfer=transfer,
         usable=usable,
         response=modes * (window * flat_spectrum_psd(ell)),
-        window_ell=ell.astype(float),
+        window_ell=ell,
         scatter=scatter,
         resolution_ell=float(np.sqrt(np.pi * taper.size * np.sum(taper**2)) / np.abs(np.sum(taper))),
         field=field,

@@ -7,7 +7,7 @@ import numpy as np
 
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.errors import OutOfRangeError
-from mapmaker.mode_coupling import ModeCoupling, coupling_flags, narrow_edges, usable_bins
+from mapmaker.mode_coupling import ModeCoupling, beam_power, coupling_flags, narrow_edges, usable_bins
 from mapmaker.spectrum import Annuli, annuli, map_psd, mode_ell, mode_multiplicity, ring_mean, taper_autocorrelation
 from mapmaker.transfer_function import mode_pixel_window, pixel_window
 from mapmaker.validation import pixel_side, reals, whole
@@ -97,7 +97,7 @@ def flat_coupling(
         nyquist = f"{np.pi / pixel_rad:.6g}, the Nyquist multipole of the pixels,"
         raise OutOfRangeError(f"edges_ell: found {rings.edges_ell[-1]:.6g}; at most {nyquist} is expected")
     sky = _sky_grid(taper, pixel_rad, sky_shape, cells_per_pixel)
-    transfer, usable = usable_bins(rings.ell.size, beam(rings.ell) * pixel_window(rings.ell, pixel_rad), transfer)
+    transfer, usable = usable_bins(beam_power(beam, rings.ell) * pixel_window(rings.ell, pixel_rad), transfer)
     window_ell, response = _response(taper, rings, sky, beam)
     coupling = ModeCoupling(
         edges_ell=rings.edges_ell,
@@ -143,19 +143,20 @@ def _sky_grid(taper: np.ndarray, pixel_rad: float, sky_shape: tuple[int, int] | 
 def _response(
     taper: np.ndarray, rings: Annuli, sky: _SkyGrid, beam: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean multipoles (n_ell,) of narrow bins, and the PSD (n_bin, n_ell) in the rings from unit band power in them."""
+    """Mean multipoles (n_ell,) of narrow bins, and the PSD (n_bin, n_ell) in the rings from unit band power in them.
+
+    They are a quarter as wide as the modes of the sky are apart; bins without a mode are left out.
+    """
     ell = sky.ell.ravel()
-    signal = flat_spectrum_psd(ell) * reals("beam(ell)", beam(ell), ell.shape, least=0)
+    signal = flat_spectrum_psd(ell) * beam_power(beam, ell)
     signal *= mode_pixel_window(*sky.shape, sky.cell_rad, sky.pixel_rad).ravel() * mode_multiplicity(*sky.shape)
-    step = 2 * np.pi / (min(sky.shape) * sky.cell_rad)
-    edges = narrow_edges(rings.edges_ell, step, ell.max())
-    place = np.searchsorted(edges, ell, side="right") - 1
-    count = np.bincount(place, minlength=edges.size - 1)
-    found = count > 0
-    response = [
-        np.bincount(place, row.ravel() * signal, count.size)[found] for row in _mode_response(taper, rings, sky)
-    ]
-    return np.bincount(place, ell, count.size)[found] / count[found], np.array(response)
+    edges = narrow_edges(rings.edges_ell, np.pi / 2 / (min(sky.shape) * sky.cell_rad), ell.max())
+    place, n_bin = np.searchsorted(edges, ell, side="right") - 1, edges.size - 1
+    power = np.bincount(place, signal, n_bin)
+    found = power > 0
+    window_ell = np.bincount(place, ell * signal, n_bin)[found] / power[found]
+    rows = (row.ravel() * signal for row in _mode_response(taper, rings, sky))
+    return window_ell, np.array([np.bincount(place, row, n_bin)[found] for row in rows])
 
 
 def _mode_response(taper: np.ndarray, rings: Annuli, sky: _SkyGrid) -> Iterator[np.ndarray]:

@@ -1,5 +1,6 @@
 """Mode coupling of a taper: binned pseudo-power of a map per band power of the sky, on the plane or the sphere."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -45,7 +46,7 @@ class ModeCoupling:
         Pseudo-power [sr] from unit band power l(l+1) C_l / 2 pi in narrow bins of multipole: taper, beam and pixels
         included, the transfer function not.
     window_ell : (n_ell,)
-        Mean multipole of each narrow bin.
+        Mean multipole of each narrow bin, in power.
     scatter : (n_bin, n_bin)
         Covariance of the pseudo-power of white noise between bins, over twice its square.
     resolution_ell
@@ -124,15 +125,20 @@ def narrow_edges(edges_ell: np.ndarray, step: float, top: float) -> np.ndarray:
     return np.append(np.concatenate(inside), whole[-1])
 
 
-def usable_bins(n_bin: int, window: np.ndarray, transfer: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Transfer function (n_bin,), 1 by default, and the bins that it and the window of beam and pixels leave.
+def beam_power(beam: Callable[[np.ndarray], np.ndarray], ell: np.ndarray) -> np.ndarray:
+    """Power window of a beam at multipoles; raises ValueError where it is negative or not finite."""
+    return reals("beam(ell)", beam(ell), ell.shape, least=0)
+
+
+def usable_bins(window: np.ndarray, transfer: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Transfer function (n_bin,), 1 by default, and the bins that it and the power window (n_bin,) leave.
 
     Raises
     ------
     ValueError
         For a transfer function of other bins or below 0, and if no bin is left.
     """
-    transfer = np.ones(n_bin) if transfer is None else reals("transfer", transfer, (n_bin,), finite=False)
+    transfer = np.ones(window.size) if transfer is None else reals("transfer", transfer, window.shape, finite=False)
     usable = (transfer >= LEAST_TRANSFER) & (window >= LEAST_WINDOW * window.max())
     if not usable.any():
         raise InsufficientDataError("beam, pixels, scans and cleaning leave no power in any bin of multipole")
