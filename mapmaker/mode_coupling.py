@@ -155,8 +155,8 @@ def coupling_flags(coupling: ModeCoupling) -> tuple[str, ...]:
         )
     if widths.min() < coupling.resolution_ell:
         flags.append(
-            f"bins {widths.min():.0f} wide in ell: the taper resolves {coupling.resolution_ell:.0f}, and wider bins are "
-            "better"
+            f"bins {widths.min():.0f} wide in ell: the taper resolves {coupling.resolution_ell:.0f}, and wider bins "
+            "are better"
         )
     few = usable & (coupling.n_modes < FEWEST_MODES)
     if few.any():
