@@ -17,17 +17,18 @@ therefore small: one level w_b a band, one r a detector, and only modes that are
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import Any
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.fft import dct, idct
 
-from mapmaker.binning import BinnedMap
+from mapmaker.binning import map_shape
 from mapmaker.errors import InsufficientDataError
 from mapmaker.geometry import MapGeometry
-from mapmaker.iterative import StreamBlock, check_pixels, subtract_sky
+from mapmaker.iterative import StreamBlock, subtract_sky
+from mapmaker.linear_maps import SolvedMap, solved_map
+from mapmaker.normal_equations import SolveOptions
 from mapmaker.validation import argument_error, band_edges, bounds_of_scans, number, reals, whole
 
 # A detector with less than this fraction of the mean noise is dead; one whose residual from the modes is rounding of
@@ -48,24 +49,20 @@ class GlsOptions:
     eigenvalue_cut
         A mode is kept if its eigenvalue, in the correlation matrix, exceeds this times the largest eigenvalue of
         uncorrelated noise.
-    tolerance
-        Residual of the normal equations over their right-hand side.
-    max_iterations
+    solve
+        Convergence of the solution.
     """
 
     band_edges_hz: tuple[float, ...] = (0.0, 0.1, 0.2, 0.4, 0.8, 1.6, np.inf)
     max_modes: int = 20
     eigenvalue_cut: float = 2.0
-    tolerance: float = 1e-5
-    max_iterations: int = 300
+    solve: SolveOptions = field(default_factory=SolveOptions)
 
     def __post_init__(self) -> None:
         """Raise OutOfRangeError or ValueError for values out of range."""
         band_edges("band_edges_hz", self.band_edges_hz)
         whole("max_modes", self.max_modes, least=0)
-        whole("max_iterations", self.max_iterations, least=1, most=2**31 - 1)
         number("eigenvalue_cut", self.eigenvalue_cut, least=1)
-        number("tolerance", self.tolerance, above=0)
 
 
 @dataclass(frozen=True)
@@ -99,38 +96,27 @@ class NoiseModel:
         """U (n_det, n_mode) [1/mK] of each band in Woodbury's identity ``N^-1 = diag(inverse_white) - U U^T``."""
         return tuple(_woodbury(row, modes) for row, modes in zip(self.inverse_white, self.modes_mk, strict=True))
 
+    def apply(self, data_mk: np.ndarray, index: np.ndarray, scan_bounds: np.ndarray) -> np.ndarray:
+        """Compute ``N^-1 d``; see `NoiseWeight`. Samples without data have to be filled: they are not left out here."""
+        out = np.zeros_like(data_mk)
+        kind = data_mk.dtype
+        for start, stop in scan_bounds:
+            modes = dct(data_mk[..., start:stop], axis=-1, norm="ortho")
+            weighed = np.zeros_like(modes)
+            bands = band_slices(stop - start, self.sample_rate_hz, self.band_edges_hz)
+            for band, white, shared in zip(bands, self.inverse_white, self.inverse_modes, strict=True):
+                x, u = modes[..., band], shared.astype(kind)
+                weighed[..., band] = white.astype(kind)[:, None] * x - u @ (u.T @ x)
+            out[..., start:stop] = idct(weighed, axis=-1, norm="ortho")
+        return out
 
-@dataclass(frozen=True)
-class GlsMap:
-    """Maximum-likelihood map, and the convergence of its solution.
-
-    Attributes
-    ----------
-    map
-        Its weights are those of the white noise alone [1/mK^2]. A constant over all pixels is undetermined; the
-        weighted mean is 0.
-    iterations
-    residual
-        Residual of the normal equations over their right-hand side.
-    converged
-    discarded
-        Scans with values that are not finite.
-    """
-
-    map: BinnedMap
-    iterations: int
-    residual: float
-    converged: bool
-    discarded: int
-
-
-@dataclass(frozen=True)
-class _Scans:
-    """Pointing and noise of an observation; off the map the index is the number of pixels."""
-
-    index: np.ndarray
-    bounds: np.ndarray
-    noise: NoiseModel
+    def white(self, scan_bounds: np.ndarray) -> np.ndarray:
+        """Weights (n_det, n_scan) of the white noise alone, the mean over all cosine modes; see `NoiseWeight`."""
+        shares = []
+        for n_samp in np.diff(scan_bounds, axis=1)[:, 0].tolist():
+            bands = band_slices(n_samp, self.sample_rate_hz, self.band_edges_hz)
+            shares.append([(band.stop - band.start) / n_samp for band in bands])
+        return self.inverse_white.T @ np.array(shares).T
 
 
 def _woodbury(inverse_white: np.ndarray, modes: np.ndarray) -> np.ndarray:
@@ -225,43 +211,28 @@ def _count_modes(values: np.ndarray, n_det: int, n: int, options: GlsOptions) ->
     return min(options.max_modes, n // 2, n_det // 2)
 
 
-def apply_inverse_noise(noise: NoiseModel, scan_mk: np.ndarray) -> np.ndarray:
-    """Compute ``N^-1 d`` of one scan (n_det, n_samp) [1/mK]."""
-    modes = dct(scan_mk, axis=1, norm="ortho")
-    bands = band_slices(scan_mk.shape[1], noise.sample_rate_hz, noise.band_edges_hz)
-    weighed = np.zeros_like(modes)
-    for band, white, shared in zip(bands, noise.inverse_white, noise.inverse_modes, strict=True):
-        x = modes[:, band]
-        weighed[:, band] = white[:, None] * x - shared @ (shared.T @ x)
-    return idct(weighed, axis=1, norm="ortho")
-
-
 def gls_map(
     geometry: MapGeometry,
-    observations: Iterable[StreamBlock],
+    observations: Callable[[], Iterable[StreamBlock]],
     *,
     sample_rate_hz: float,
     options: GlsOptions,
     sky_mk: np.ndarray | None = None,
-) -> GlsMap:
+) -> SolvedMap:
     """Maximum-likelihood map of observations, each with the noise measured from its own streams.
 
-    The streams are read once, one observation at a time; their indices are kept. The blocks' weights are not used.
     Scans with values that are not finite are discarded.
 
     Parameters
     ----------
     geometry
     observations
+        Function that returns all blocks for one pass, one at a time. Their weights are not used.
     sample_rate_hz
     options
-    sky_mk : (n_y, n_x), optional
+    sky_mk : (n_stokes, n_y, n_x), optional
         Earlier map, subtracted from the streams before their noise is measured; needed unless the sky is faint compared
         with the noise.
-
-    Returns
-    -------
-    GlsMap
 
     Raises
     ------
@@ -270,84 +241,10 @@ def gls_map(
     """
     number("sample_rate_hz", sample_rate_hz, above=0)
     if sky_mk is not None:
-        sky_mk = reals("sky_mk", sky_mk, (geometry.n_y, geometry.n_x))
-    n_pixel = geometry.n_y * geometry.n_x
-    right = np.zeros(n_pixel)
-    scans, discarded = [], 0
-    for block in observations:
-        check_pixels(geometry, block)
-        bounds = np.array([b for b in block.scan_bounds if np.isfinite(block.data_mk[:, b[0] : b[1]]).all()])
-        discarded += len(block.scan_bounds) - len(bounds)
-        if not len(bounds):
-            continue
+        sky_mk = reals("sky_mk", sky_mk, map_shape(geometry))
+
+    def weigh(block: StreamBlock) -> NoiseModel:
         rest = block if sky_mk is None else subtract_sky(block, sky_mk)
-        noise = measure_noise(rest.data_mk, bounds, sample_rate_hz, options)
-        index = np.where(block.index < 0, n_pixel, block.index)
-        one = _Scans(index, bounds, noise)
-        right += _project(one, partial(_samples, block.data_mk), n_pixel)
-        scans.append(one)
-    if not scans:
-        raise InsufficientDataError("found no observation with finite values; one or more are expected")
-    return _solved(geometry, scans, right, discarded=discarded, options=options)
+        return measure_noise(rest.data_mk, block.scan_bounds, sample_rate_hz, options)
 
-
-def _project(scans: _Scans, stream: Callable[[int, int], np.ndarray], n_pixel: int) -> np.ndarray:
-    """Compute ``P^T N^-1`` of the streams `stream(start, stop)`, (n_pixel,)."""
-    total = np.zeros(n_pixel + 1)
-    for start, stop in scans.bounds:
-        weighed = apply_inverse_noise(scans.noise, stream(start, stop))
-        total += np.bincount(scans.index[:, start:stop].ravel(), weighed.ravel(), n_pixel + 1)
-    return total[:-1]
-
-
-def _samples(data_mk: np.ndarray, start: int, stop: int) -> np.ndarray:
-    return data_mk[:, start:stop].astype(float)
-
-
-def _observed(sky: np.ndarray, index: np.ndarray, start: int, stop: int) -> np.ndarray:
-    return sky[index[:, start:stop]]
-
-
-def _solved(
-    geometry: MapGeometry, scans: list[_Scans], right: np.ndarray, *, discarded: int, options: GlsOptions
-) -> GlsMap:
-    """Solve by conjugate gradients; pixels without a hit stay 0."""
-    from scipy.sparse.linalg import LinearOperator, cg
-
-    n_pixel = len(right)
-
-    def normal(sky: np.ndarray) -> np.ndarray:
-        padded = np.append(sky, 0.0)
-        total: Any = sum(_project(one, partial(_observed, padded, one.index), n_pixel) for one in scans)
-        return total
-
-    weight, hits = _weight_and_hits(scans, n_pixel)
-    scale = np.divide(1.0, weight, out=np.zeros(n_pixel), where=weight > 0)
-    steps = []
-    sky, failed = cg(
-        LinearOperator((n_pixel, n_pixel), normal, dtype=float),
-        right,
-        rtol=options.tolerance,
-        maxiter=options.max_iterations,
-        M=LinearOperator((n_pixel, n_pixel), lambda r: scale * r.ravel(), dtype=float),
-        callback=lambda _: steps.append(1),
-    )
-    residual = np.linalg.norm(right - normal(sky)) / (np.linalg.norm(right) or 1.0)
-    shape = (geometry.n_y, geometry.n_x)
-    item = BinnedMap(geometry, (sky * weight).reshape(shape), weight.reshape(shape), hits.reshape(shape))
-    return GlsMap(item, len(steps), float(residual), failed == 0, discarded)
-
-
-def _weight_and_hits(scans: list[_Scans], n_pixel: int) -> tuple[np.ndarray, np.ndarray]:
-    """Weight of the white noise alone [1/mK^2] and hits, of each pixel."""
-    weight, hits = np.zeros(n_pixel + 1), np.zeros(n_pixel + 1, np.int64)
-    for one in scans:
-        for start, stop in one.bounds:
-            bands = band_slices(stop - start, one.noise.sample_rate_hz, one.noise.band_edges_hz)
-            share = np.array([band.stop - band.start for band in bands]) / (stop - start)
-            pixels = one.index[:, start:stop]
-            # Diagonal of N^-1 without the modes: the mean over all cosine modes, with 0 for those in no band.
-            white = np.repeat(share @ one.noise.inverse_white, stop - start)
-            weight += np.bincount(pixels.ravel(), white, n_pixel + 1)
-            hits += np.bincount(pixels.ravel(), minlength=n_pixel + 1)
-    return weight[:-1], hits[:-1]
+    return solved_map(geometry, observations, weigh, options=options.solve)

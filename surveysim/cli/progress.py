@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from mapmaker.printable import complain
 from surveysim.cli.interrupts import stopping
 from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.results.stopping import estimate_so_far
 from surveysim.runtime.numbers import plain, quoted
-from surveysim.runtime.printable import complain
 from surveysim.scene.scene import Scene
 from surveysim.survey.coadd_tree import CoAddTree
 

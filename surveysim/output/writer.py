@@ -324,7 +324,8 @@ def write_text(path: Path, text: str) -> Path:
 def _write_maps(directory: Path, result: SurveyResult) -> list[Path]:
     setup, coadds, written = result.setup, result.coadds, []
     for s, name in enumerate(setup.analysis.data_set_names):
-        item = BinnedMap(setup.analysis.geometry, coadds.sums[s], coadds.weight[s], coadds.hits[s])
+        planes = (plane[s][None] for plane in (coadds.sums, coadds.weight, coadds.hits))  # Stokes I
+        item = BinnedMap(setup.analysis.geometry, *planes)
         header = {
             "SCENE": setup.scene.name,
             "DATASET": name,

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mapmaker.files import atomic_write
+from mapmaker.printable import printable, shortened
 from surveysim import __version__
 from surveysim.report.html.components import Page
-from surveysim.runtime.printable import printable, shortened
 
 if TYPE_CHECKING:
     from markupsafe import Markup

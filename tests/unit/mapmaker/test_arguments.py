@@ -205,18 +205,24 @@ TABLE = [
     (mm.IterationOptions, {"threshold": 5.0, "loss": 0.2, "tolerance": 1e-3, "max_iterations": 9},
      {"threshold": wrong_numbers(above=0), "loss": [*wrong_numbers(least=0), 1.0], "tolerance": wrong_numbers(above=0),
       "max_iterations": WRONG_SIZES}),
-    (mm.gls_map, {"geometry": GEOMETRY, "observations": [BLOCK], "sample_rate_hz": 10.0, "options": GLS,
-                  "sky_mk": np.zeros((SIDE, SIDE))},
-     {"observations": [[], [replace(BLOCK, index=INDEX + SIDE * SIDE)]], "sample_rate_hz": wrong_numbers(above=0),
-      "sky_mk": [v for v in wrong_arrays(np.zeros((SIDE, SIDE))) if v is not None]}),
+    (mm.gls_map, {"geometry": GEOMETRY, "observations": lambda: [BLOCK], "sample_rate_hz": 10.0, "options": GLS,
+                  "sky_mk": np.zeros((1, SIDE, SIDE))},
+     {"observations": [lambda: [], lambda: [replace(BLOCK, index=INDEX + SIDE * SIDE)]],
+      "sample_rate_hz": wrong_numbers(above=0),
+      "sky_mk": [v for v in wrong_arrays(np.zeros((1, SIDE, SIDE))) if v is not None]}),
     (mm.GlsOptions, {"band_edges_hz": (0.0, 1.0)},
      {"band_edges_hz": [(1.0,), (1.0, 1.0), (-1.0, 1.0), (0.0, np.nan), (np.nan, 1.0), (0, np.inf, np.inf), "ab", None],
-      "max_modes": [-1, 1.5, "1"], "eigenvalue_cut": wrong_numbers(least=1), "tolerance": wrong_numbers(above=0)}),
+      "max_modes": [-1, 1.5, "1"], "eigenvalue_cut": wrong_numbers(least=1)}),
+    (mm.DestripeOptions, {"baseline": 10}, {"baseline": [0, 1, 1.5, "2", True, None]}),
+    (mm.destriped_map, {"geometry": GEOMETRY, "observations": lambda: [BLOCK], "options": mm.DestripeOptions(10)},
+     {"observations": [lambda: [], lambda: [replace(BLOCK, index=INDEX + SIDE * SIDE)]]}),
+    (mm.SolveOptions, {"tolerance": 1e-5, "max_iterations": 9},
+     {"tolerance": wrong_numbers(above=0), "max_iterations": WRONG_SIZES}),
     (measure_noise, {"data_mk": DATA, "scan_bounds": BOUNDS, "sample_rate_hz": 10.0, "options": GLS},
      {"data_mk": [changed(DATA, (0, 0), np.nan), DATA[0], DATA.astype(complex)],
       "sample_rate_hz": wrong_numbers(above=0), "scan_bounds": [*WRONG_BOUNDS, np.zeros((0, 2), int)]}),
-    (subtract_sky, {"block": BLOCK, "sky_mk": np.zeros((SIDE, SIDE))},
-     {"sky_mk": wrong_arrays(np.zeros((SIDE, SIDE)))}),
+    (subtract_sky, {"block": BLOCK, "sky_mk": np.zeros((1, SIDE, SIDE))},
+     {"sky_mk": wrong_arrays(np.zeros((1, SIDE, SIDE)))}),
     (mm.measure_wind, {"data_mk": DATA, "scan_bounds": BOUNDS, "focal_plane": PLANE, "sample_rate_hz": 10.0,
                        "scan_velocity_rad_s": np.zeros((3, 2))},
      {"data_mk": [*WRONG_STREAMS, changed(DATA, (0, 0), np.nan)], "scan_bounds": [*WRONG_BOUNDS, BOUNDS[:2]],
@@ -358,7 +364,7 @@ def test_values_that_are_not_used_may_be_anything():
 
 
 def test_hits_do_not_overflow():
-    many = replace(MAP, hits=np.full((SIDE, SIDE), 2**31 - 1, np.int32))
+    many = replace(MAP, hits=np.full((1, SIDE, SIDE), 2**31 - 1, np.int32))
     assert mm.coadd([many, many], [1.0, 1.0]).hits.max() == 2 * (2**31 - 1)
 
 
