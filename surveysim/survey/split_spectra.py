@@ -111,16 +111,14 @@ class _Measure:
     spectrum: Spectrum | None
 
 
-def survey_spectra(setup: Setup, coadds: CoAdds) -> SurveySpectra | None:
-    """Measure the spectra of all splits of a survey; None without splits.
+def survey_spectra(setup: Setup, coadds: CoAdds) -> SurveySpectra:
+    """Measure the spectra of all splits of a survey.
 
     Raises
     ------
     InsufficientDataError
         For too few observations or realizations.
     """
-    if setup.analysis.splits is None:
-        return None
     measure = _measure(setup, coadds)
     splits = {split.name: _split_spectrum(measure, coadds, split) for split in setup.analysis.splits.splits}
     transfer = measure.transfer
@@ -137,7 +135,7 @@ def bin_edges(setup: Setup) -> np.ndarray:
 def _measure(setup: Setup, coadds: CoAdds) -> _Measure:
     analysis, edges = setup.analysis, bin_edges(setup)
     taper, pixel = analysis.region.padded_taper, analysis.geometry.pixel_rad
-    rings = annuli(*taper.shape, pixel, edges_ell=edges, taper=taper)
+    rings = annuli(len(taper), len(taper), pixel, edges_ell=edges, taper=taper)
     place = analysis.transfer_function_index(ACTUAL)
     skies = setup.scene.score.signal_sims.skies
     if not coadds.signal_weight[place].any():
