@@ -19,6 +19,8 @@ def check_maker(scene: Scene, scans: Scans) -> None:
         raise SceneError(f"cleaning.compare: found pipelines with map.maker {maker!r}; 'binned' maps compare them")
     if scene.score and scene.score.mask_separation_f_lambda:
         raise SceneError(f"score.mask_separation_f_lambda: found with map.maker {maker!r}; 'binned' has a masked array")
+    if scene.spectra:
+        raise SceneError(f"spectra: found with map.maker {maker!r}; 'binned' maps are split")
     if maker == "destriped":
         _check_baseline(scene, scans)
     if maker == "maximum_likelihood":
