@@ -10,12 +10,12 @@ from threadpoolctl import threadpool_limits
 
 from surveysim.reduction.noise_weights import weights_file
 from surveysim.reduction.observation import observe
+from surveysim.reduction.resource_limits import SOLVED_MAPS
 from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.survey.solution import add_observed
 from surveysim.timestreams.scan_blocks import Block
 
 ITERATIONS = 20.0  # of a map, about: destriped maps of lynx take 17, those of maximum likelihood 10
-MAPS_HELD = 12.0  # maps in double precision that the conjugate gradients hold for each right-hand side, with copies
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,12 @@ NO_SOLUTION = SolutionCost(0.0, 0.0)
 def solution_cost(setup: Setup) -> SolutionCost:
     """Predict the cost of solving for the maps, jackknives and signal simulations of a survey."""
     scene, geometry = setup.scene, setup.analysis.geometry
-    n_map = len(setup.analysis.data_set_names) * (1 + (scene.score.jackknives if scene.score else 0))
-    each_s = _each_s(setup, n_map)
+    n_right, n_set = 1 + (scene.score.jackknives if scene.score else 0), len(setup.analysis.data_set_names)
+    each_s = _each_s(setup, n_right)
     n_with_sims = int(signal_sim_observations(scene).sum())
-    maps_observed = scene.observations * n_map + n_with_sims * setup.analysis.n_signal_skies
+    maps_observed = scene.observations * n_set * n_right + n_with_sims * setup.analysis.n_signal_skies
     n_pixel = geometry.n_y * geometry.n_x
-    return SolutionCost(ITERATIONS * each_s * maps_observed, 8.0 * MAPS_HELD * n_map * n_pixel)
+    return SolutionCost(ITERATIONS * each_s * maps_observed, 8.0 * SOLVED_MAPS * n_right * n_pixel)
 
 
 def _each_s(setup: Setup, n_map: int) -> float:

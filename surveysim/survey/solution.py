@@ -161,8 +161,8 @@ def solved_coadds(setup: Setup, coadds: CoAdds, directory: Path, engine: Engine,
             of_carriers = solve(SIGNAL_SIMS, signal_maps[:, 0, 1], weights[:, 0] * carry, coadds.signal_weight[0])
             signal_maps[:, 0, 1] = of_carriers[0]
             convergence.append(of_carriers[1])
-    found = replace(coadds, sums=solved[0], flipped=solved[1:], signal_maps=signal_maps, convergence=tuple(convergence))
-    return on_scored_patch(analysis, found)
+    whole = replace(coadds, sums=solved[0], flipped=solved[1:], signal_maps=signal_maps, convergence=tuple(convergence))
+    return on_scored_patch(analysis, whole)
 
 
 def on_scored_patch(analysis: AnalysisSetup, coadds: CoAdds) -> CoAdds:
