@@ -9,10 +9,11 @@ from pathlib import PurePath
 from typing import Any
 
 from surveysim.reduction.signal_sims import carriers
-from surveysim.report.html.components import UK2, Block, Terms
+from surveysim.report.html.components import Block, Terms
 from surveysim.report.html.readout import DESCRIPTIONS
 from surveysim.report.html.response import response_terms
 from surveysim.report.html.scan_words import scan_words
+from surveysim.report.html.sky_words import sky_words
 from surveysim.runtime.numbers import joined, number, plural, short
 from surveysim.scene.sites import OWN, site_title
 from surveysim.scene.units import b2_unit
@@ -280,25 +281,10 @@ def _detector(detector: Values) -> Iterator[str]:
     yield "independent between detectors."
 
 
-def _sky(sky: Values) -> Iterator[str]:
-    yield f"A CMB of flat band power, {short(sky['cmb_band_power_ukcmb2'])} {UK2}"
-    yield f"on the sphere up to l = {sky['curved_lmax']}" if sky["curved_lmax"] else "on the plane"
-    sources = sky["point_sources"]
-    peaks = [f"{short(source['peak_mk'])} mK" for source in sources if source["peak_mk"] is not None]
-    fluxes = [
-        f"{short(1e3 * source['flux_jy'])} mJy at {short(source['flux_frequency_hz'] / 1e9)} GHz"
-        f" (spectral index {short(source['spectral_index'])})"
-        for source in sources
-        if source["peak_mk"] is None
-    ]
-    brightness = "; ".join([*([", ".join(peaks) + " (Rayleigh-Jeans)"] if peaks else []), *fluxes])
-    yield f"and {plural(len(sources), 'point source')} of {brightness}." if sources else "alone."
-
-
 _COMPONENTS: dict[str, Callable[[Any], Iterator[str]]] = {
     "atmosphere": _atmosphere,
     "excess": _excess,
-    "sky": _sky,
+    "sky": sky_words,
     "photon": _photon,
     "detector": _detector,
     **DESCRIPTIONS,
