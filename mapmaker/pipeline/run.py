@@ -8,6 +8,7 @@ import numpy as np
 
 from mapmaker.errors import InputError, InsufficientDataError
 from mapmaker.files import one_line
+from mapmaker.formats import read_timestreams
 from mapmaker.pipeline.config import Config
 from mapmaker.pipeline.dropped import FILE, OFF_MAP, UNREADABLE, Dropped
 from mapmaker.pipeline.field import Field, extended, map_geometry, stated_field
@@ -15,7 +16,6 @@ from mapmaker.pipeline.noise_spectra import NoiseSpectra, noise_spectra
 from mapmaker.pipeline.one_file import CleanedFile, UnusableFileError, clean_file
 from mapmaker.pipeline.splits import make_splits
 from mapmaker.pipeline.sums import MapSums
-from mapmaker.timestreams import read_timestreams
 
 
 @dataclass(frozen=True)

@@ -281,7 +281,7 @@ def test_a_scene_of_a_site_in_words(tmp_path):
         "Horns are 0.6 (f/#)λ wide. The efficiency from window to detector is 30 %. Detectors absorb 2 polarizations.",
         "Its outer scale is 2000 m.",
         "Average subtraction, then adaptive PCA.",
-        "A CMB of flat band power, 1000 µK²CMB on the plane and 1 point source of 5 mK",
+        "A CMB of flat band power, 1000 µK²CMB, on the plane. 1 point source of 5 mK",
     ):
         assert words in page.text
 
