@@ -46,6 +46,7 @@ _AS_BY_DEFAULT = {
     "EQUINOX": (2000,),
 }
 _TURNS_OR_DISTORTS = re.compile(r"CD[12]_[12]|P[VS][12]_\d+|[AB]P?_ORDER|(CPDIS|CQDIS|D2IMDIS)[12]")
+STOKES = ("I",)  # Stokes parameters of a map, its first axis
 HITS_UNIT, INVERSE_VARIANCE_UNIT = "count", "mK-2"  # units of weights in FITS
 
 
@@ -56,9 +57,9 @@ class BinnedMap:
     Attributes
     ----------
     geometry
-    weighted_sum : (n_y, n_x)
-        [mK times the unit of the weight].
-    weight, hits : (n_y, n_x)
+    weighted_sum : (n_stokes, n_y, n_x)
+        [mK times the unit of the weight]; the Stokes parameters are those of `STOKES`, I alone.
+    weight, hits : (n_stokes, n_y, n_x)
     weight_unit
         "count" for weights that are hits, as from `bin_map`; "mK-2" for inverse variances.
     """
@@ -71,8 +72,13 @@ class BinnedMap:
 
     @property
     def signal_mk(self) -> np.ndarray:
-        """Map (n_y, n_x) in mK; 0 in unobserved pixels."""
+        """Map (n_stokes, n_y, n_x) in mK; 0 in unobserved pixels."""
         return weighted_mean(self.weighted_sum, self.weight)
+
+
+def map_shape(geometry: MapGeometry) -> tuple[int, int, int]:
+    """Shape (n_stokes, n_y, n_x) of the planes of a map."""
+    return len(STOKES), geometry.n_y, geometry.n_x
 
 
 def weighted_mean(weighted_sum: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -116,7 +122,7 @@ def bin_map(
         raise argument_error(
             "data_mk", "values that are not finite in kept scans", "finite ones, or kept False for them, are"
         )
-    shape = (geometry.n_y, geometry.n_x)
+    shape = map_shape(geometry)
     return BinnedMap(geometry, total.reshape(shape), hits.reshape(shape).astype(float), hits.reshape(shape), HITS_UNIT)
 
 
@@ -183,7 +189,7 @@ def checked_map(item: BinnedMap, name: str = "map") -> BinnedMap:
         For planes of another shape than the geometry's, sums that are not finite, weights and hits that are not finite
         and at least 0, and unknown units of weights.
     """
-    shape = (item.geometry.n_y, item.geometry.n_x)
+    shape = map_shape(item.geometry)
     if item.weight_unit not in (HITS_UNIT, INVERSE_VARIANCE_UNIT):
         raise argument_error(f"{name}.weight_unit", item.weight_unit, f"{HITS_UNIT!r} or {INVERSE_VARIANCE_UNIT!r} is")
     return replace(
@@ -195,7 +201,7 @@ def checked_map(item: BinnedMap, name: str = "map") -> BinnedMap:
 
 
 def write_fits(path: str | Path, item: BinnedMap, header: Mapping[str, object]) -> None:
-    """Write signal, weight and hits as image extensions with one WCS, atomically.
+    """Write signal, weight and hits of Stokes I as image extensions (n_y, n_x) with one WCS, atomically.
 
     Raises
     ------
@@ -209,7 +215,7 @@ def write_fits(path: str | Path, item: BinnedMap, header: Mapping[str, object]) 
         ("WEIGHT", single_precision("weight", item.weight), item.weight_unit),
         ("HITS", item.hits.astype(_integers(item.hits)), ""),
     ]
-    write_images(path, header, [(name, data, base, unit) for name, data, unit in planes])
+    write_images(path, header, [(name, data[0], base, unit) for name, data, unit in planes])
 
 
 def _integers(hits: np.ndarray) -> type:
@@ -252,7 +258,8 @@ def _map_of(file: Any) -> BinnedMap:
     signal = np.where((weight == 0) & np.isnan(planes["SIGNAL"]), 0.0, planes["SIGNAL"])
     with np.errstate(over="ignore", invalid="ignore"):  # the check finds what is not finite
         total = signal * weight
-    return checked_map(BinnedMap(geometry, total, weight, hits.astype(np.int64), units["WEIGHT"]), "planes")
+    item = BinnedMap(geometry, total[None], weight[None], hits.astype(np.int64)[None], units["WEIGHT"])
+    return checked_map(item, "planes")
 
 
 def _plane(name: str, image: Any) -> np.ndarray:
@@ -285,7 +292,7 @@ def _geometry_of(name: str, header: Any, shape: tuple[int, int]) -> MapGeometry:
 
 
 def write_healpix(path: str | Path, item: BinnedMap, nside: int) -> None:
-    """Write a map re-binned to HEALPix (partial sky, nested): signal, weight and hits, atomically.
+    """Write Stokes I re-binned to HEALPix (partial sky, nested): signal, weight and hits, atomically.
 
     Each tangent-plane pixel goes to the HEALPix pixel of its centre; weights add.
 
@@ -303,20 +310,46 @@ def write_healpix(path: str | Path, item: BinnedMap, nside: int) -> None:
     """
     check_nside("nside", nside, item.geometry.pixel_rad)
     import healpy
-    from astropy.io import fits
 
     item = checked_map(item)
-    rows, columns = np.nonzero(item.weight > 0)
+    rows, columns = np.nonzero(item.weight[0] > 0)
     xi, eta = (plane[rows, columns] for plane in pixel_centres(item.geometry))
     ra, dec = plane_directions(item.geometry, xi, eta)
     pixel, slot = np.unique(healpy.ang2pix(nside, np.pi / 2 - dec, ra, nest=True), return_inverse=True)
     total, weight, hits = (
-        np.bincount(slot, plane[rows, columns], len(pixel)) for plane in (item.weighted_sum, item.weight, item.hits)
+        np.bincount(slot, plane[0, rows, columns], len(pixel)) for plane in (item.weighted_sum, item.weight, item.hits)
     )
+    planes = {"weighted_sum": total, "weight": weight, "hits": hits}
+    write_healpix_pixels(path, nside, pixel=pixel, **planes, weight_unit=item.weight_unit)
+
+
+def write_healpix_pixels(
+    path: str | Path,
+    nside: int,
+    *,
+    pixel: np.ndarray,
+    weighted_sum: np.ndarray,
+    weight: np.ndarray,
+    hits: np.ndarray,
+    weight_unit: str,
+) -> None:
+    """Write sums on HEALPix pixels (partial sky, nested) as signal, weight and hits, atomically.
+
+    Parameters
+    ----------
+    path, nside
+    pixel : (n_pixel,)
+        Numbers, increasing.
+    weighted_sum, weight, hits : (n_pixel,)
+        As in `BinnedMap`; weights are above 0.
+    weight_unit
+    """
+    from astropy.io import fits
+
     table_columns = [
         fits.Column("PIXEL", "K", array=pixel),
-        fits.Column("SIGNAL", "E", "mK", array=single_precision("signal_mk", total / weight)),
-        fits.Column("WEIGHT", "E", item.weight_unit, array=single_precision("weight", weight)),
+        fits.Column("SIGNAL", "E", "mK", array=single_precision("signal_mk", weighted_sum / weight)),
+        fits.Column("WEIGHT", "E", weight_unit, array=single_precision("weight", weight)),
         fits.Column("HITS", "J" if _integers(hits) is np.int32 else "K", array=hits),
     ]
     table = fits.BinTableHDU.from_columns(table_columns)

@@ -23,6 +23,7 @@ from functools import cached_property
 import numpy as np
 from scipy.fft import dct, idct
 
+from mapmaker.binning import map_shape
 from mapmaker.errors import InsufficientDataError
 from mapmaker.geometry import MapGeometry
 from mapmaker.iterative import StreamBlock, subtract_sky
@@ -248,7 +249,7 @@ def gls_map(
         Function that returns all blocks for one pass, one at a time. Their weights are not used.
     sample_rate_hz
     options
-    sky_mk : (n_y, n_x), optional
+    sky_mk : (n_stokes, n_y, n_x), optional
         Earlier map, subtracted from the streams before their noise is measured; needed unless the sky is faint compared
         with the noise.
 
@@ -259,7 +260,7 @@ def gls_map(
     """
     number("sample_rate_hz", sample_rate_hz, above=0)
     if sky_mk is not None:
-        sky_mk = reals("sky_mk", sky_mk, (geometry.n_y, geometry.n_x))
+        sky_mk = reals("sky_mk", sky_mk, map_shape(geometry))
 
     def weigh(block: StreamBlock) -> NoiseModel:
         rest = block if sky_mk is None else subtract_sky(block, sky_mk)

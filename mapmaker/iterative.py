@@ -8,10 +8,11 @@ significant pixels are subtracted: otherwise the iteration would restore the noi
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from mapmaker.binning import BinnedMap, bin_map, checked_map, coadd
+from mapmaker.binning import STOKES, BinnedMap, bin_map, checked_map, coadd, map_shape
 from mapmaker.cleaning import Cleaned
 from mapmaker.errors import InsufficientDataError
 from mapmaker.geometry import MapGeometry
@@ -106,7 +107,7 @@ class IteratedMap:
     Attributes
     ----------
     map
-    estimate_mk : (n_y, n_x)
+    estimate_mk : (n_stokes, n_y, n_x)
         Signal that was subtracted before the last cleaning.
     iterations
         Passes over the observations.
@@ -147,7 +148,7 @@ def iterate_map(
     ValueError
         For no observation, and for an index that does not match the data.
     """
-    estimate = np.zeros((geometry.n_y, geometry.n_x))
+    estimate = np.zeros(map_shape(geometry))
     signal = np.zeros(estimate.shape, bool)
     change: list[float] = []
     converged = False
@@ -182,7 +183,7 @@ def significant(item: BinnedMap, fwhm_rad: float, threshold: float, floor: float
 
     Returns
     -------
-    (n_y, n_x) bool array
+    (n_stokes, n_y, n_x) bool array
     """
     from scipy.ndimage import gaussian_filter
 
@@ -190,9 +191,10 @@ def significant(item: BinnedMap, fwhm_rad: float, threshold: float, floor: float
     number("threshold", threshold, above=0)
     number("floor", floor, least=0, most=1)
     sigma_pixels = fwhm_rad / np.sqrt(8 * np.log(2)) / item.geometry.pixel_rad
-    total = gaussian_filter(item.weighted_sum.astype(float), sigma_pixels, mode="constant")
+    smooth = partial(gaussian_filter, mode="constant", axes=(-2, -1))
+    total = smooth(item.weighted_sum.astype(float), sigma_pixels)
     # The square of a Gaussian is a Gaussian of 1 / sqrt(2) the width; its constant cancels against the scatter.
-    weight = gaussian_filter(item.weight.astype(float), sigma_pixels / np.sqrt(2), mode="constant")
+    weight = smooth(item.weight.astype(float), sigma_pixels / np.sqrt(2))
     seen = item.weight > 0
     ratio = np.zeros(total.shape)
     ratio[seen] = np.abs(total[seen]) / np.sqrt(weight[seen])
@@ -201,14 +203,14 @@ def significant(item: BinnedMap, fwhm_rad: float, threshold: float, floor: float
 
 
 def subtract_sky(block: StreamBlock, sky_mk: np.ndarray) -> StreamBlock:
-    """Subtract a map (n_y, n_x) [mK] from the streams; samples off the map are unchanged.
+    """Subtract a map (n_stokes, n_y, n_x) [mK] from the streams; samples off the map are unchanged.
 
     Raises
     ------
     ValueError
         For a map that is not finite, or lacks pixels of the block.
     """
-    sky_mk = reals("sky_mk", sky_mk, ("n_y", "n_x"))
+    sky_mk = reals("sky_mk", sky_mk, (len(STOKES), "n_y", "n_x"))
     pixel_numbers(block.index, block.data_mk.shape, sky_mk.size)
     padded = np.append(sky_mk.ravel(), 0.0).astype(block.data_mk.dtype)
     # Index -1, off the map, is the last element: 0.

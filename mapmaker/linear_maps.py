@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapmaker.binning import BinnedMap
+from mapmaker.binning import BinnedMap, map_shape
 from mapmaker.errors import InsufficientDataError
 from mapmaker.geometry import MapGeometry
 from mapmaker.iterative import StreamBlock, check_pixels
@@ -95,7 +95,7 @@ def solved_map(
                 yield NormalBlock(block.index, bounds, noise)
 
     solution = solve_normal(normal_matrix(blocks, stream_type), right[None], weight, options=options)
-    shape = (geometry.n_y, geometry.n_x)
+    shape = map_shape(geometry)
     total, weight, hits = (solution.sky_mk[0] * weight).reshape(shape), weight.reshape(shape), hits.reshape(shape)
     result = BinnedMap(geometry, total, weight, hits)
     return SolvedMap(result, solution.iterations, float(solution.residual[0]), bool(solution.converged[0]), discarded)

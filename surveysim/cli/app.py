@@ -5,9 +5,9 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperArgument, TyperCommand
 
+from mapmaker.printable import say
 from surveysim import __version__
 from surveysim.cli import budgets, compare, optimise, runs, scenes, studies, tracks
-from surveysim.runtime.printable import say
 
 app = typer.Typer(
     no_args_is_help=True,

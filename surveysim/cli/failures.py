@@ -12,9 +12,9 @@ from typing import Any, TextIO
 
 import typer
 
+from mapmaker.printable import LONGEST, printable, shortened
 from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE, asked_to_stop, cause
 from surveysim.runtime.errors import SceneError
-from surveysim.runtime.printable import LONGEST, printable, shortened
 
 EXIT_BROKEN_PIPE = 141  # as after SIGPIPE: 128 plus its number
 UsageError: Any = typer.BadParameter.__bases__[0]  # its own name is private in some versions of typer

@@ -11,8 +11,8 @@ from typing import Any, NoReturn
 
 import typer
 
+from mapmaker.printable import complain
 from surveysim.runtime.errors import InputError, SceneError
-from surveysim.runtime.printable import complain
 
 EXIT_FAILED = 1
 EXIT_WRONG_SCENE = 2

@@ -40,8 +40,8 @@ def _interrupted_at_start(number: int, frame: object) -> NoReturn:
 def ended(arguments: Sequence[str], notice: str | None = None) -> int:
     """Return the exit code of a command at its end; a failure prints one line to standard error."""
     try:  # before anything else fails: there may be no memory left for imports then
+        from mapmaker.printable import complain, printable
         from surveysim.cli.failures import broken_stream, failure
-        from surveysim.runtime.printable import complain, printable
     except Exception as error:  # libraries that cannot be loaded
         os.write(2, f"surveysim can't start: {' '.join(str(error).split())[:200]!a}\n".encode())
         return 1

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mapmaker.printable import complain
 from surveysim.cli import options
 from surveysim.cli.interrupts import report_new_start, report_resumable_exit, stopping
 from surveysim.cli.options import Force, Kind, NoFigures, Overrides, Quiet, SceneFile, Scheduler, Verbose, Workers, fail
 from surveysim.output.names import default_directory
-from surveysim.runtime.printable import complain
 
 if TYPE_CHECKING:
     from surveysim.studies.optimise.problem import Problem

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mapmaker.printable import say
 from surveysim.cli.options import Force, Overrides, SceneFile, bands_of, fail, ready_setup, scene_completions, sweep_of
 from surveysim.runtime.errors import InputError
-from surveysim.runtime.printable import say
 from surveysim.scene.shipped import HERE, MAX_NAME, NAME, camera_titles, find_scene, no_such_scene
 from surveysim.scene.similar_names import did_you_mean
 from surveysim.scene.units import shown

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mapmaker.printable import complain
 from surveysim.cli import options
 from surveysim.cli.interrupts import EXIT_FAILED, report_resumable_exit, stopping
 from surveysim.cli.options import Force, Kind, NoFigures, Overrides, Quiet, Scheduler, Workers, fail, ready_setup
 from surveysim.output.names import default_directory
 from surveysim.runtime.errors import InputError, SceneError
-from surveysim.runtime.printable import complain
 from surveysim.scene.shipped import scene_folder
 
 if TYPE_CHECKING:

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
+from mapmaker.printable import say
 from surveysim.cli.options import Overrides, SceneFile, at_least, bands_of, fail, ready_setup
 from surveysim.runtime.numbers import plain, plural
-from surveysim.runtime.printable import say
 
 
 def track(

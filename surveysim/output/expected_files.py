@@ -20,9 +20,11 @@ from surveysim.studies.sweep.bands import MultiBandSweep, band_sweep_hash
 from surveysim.studies.sweep.point_run import Stage
 from surveysim.studies.sweep.rounds import SweepLimits, round_ends
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
+from surveysim.survey.checkpoint import WEIGHTS
 
 COMMON = ("summary.json", "scene.json", "report.html")
 SCORES = "scores.npz"
+SPECTRA = ("spectra.ecsv", "spectra_windows.ecsv", "spectra.sacc")
 _TABLES = (
     "observations",
     "timestream_psd",
@@ -30,6 +32,8 @@ _TABLES = (
     "metrics",
     "map_psd",
     "alternatives",
+    "split_spectra",
+    "nulls",
     "load",
     "nep",
     "sensitivity",
@@ -42,6 +46,7 @@ _FIGURES = (
     "transfer_function",
     "cumulative_sensitivity",
     "weights",
+    "spectra",
     "weather",
     "run_time",
 )
@@ -53,6 +58,8 @@ def of_run(setup: Setup, figures: bool, timestreams: bool) -> Results:
     """Return the results of a run of a scene."""
     scene = setup.scene
     names = [CHECKPOINT, *_run_names(scene), *_map_names(setup), *(_figure_names() if figures else ())]
+    if scene.map.solved:
+        names += [f"{WEIGHTS}/{number:04d}.npz" for number in range(scene.observations)]
     if timestreams:
         names += [f"timestreams/{number:04d}.h5" for number in range(scene.observations)]
     return Results("run", scene.name, scene_hash(scene), tuple(names), scene_files(scene), extends=survey_hash(scene))
@@ -67,7 +74,7 @@ def of_point(setup: Setup, keep_all: bool) -> Results:
 
 def _run_names(scene: Scene) -> tuple[str, ...]:
     tables = (*_TABLES, *(metric_table_names(scene.score) if scene.score else ()))
-    return (*COMMON, SCORES, *(f"tables/{name}.ecsv" for name in tables))
+    return (*COMMON, SCORES, *SPECTRA, *(f"tables/{name}.ecsv" for name in tables))
 
 
 def _map_names(setup: Setup) -> tuple[str, ...]:

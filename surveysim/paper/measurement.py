@@ -245,12 +245,11 @@ def map_variances(setup: Setup, streams: Timestreams, pointing: Pointing, cleane
     angle = pointing.array_angle_rad
     index = boresight_pixels(geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
     item = bin_map(geometry, cleaned.data_mk, index, streams.scan_bounds, kept=cleaned.kept)
-    signal = np.divide(item.weighted_sum, item.hits, out=np.zeros(item.hits.shape), where=item.hits > 0)
     raster = cast(Raster, setup.observing.scans)  # of the paper's scenes
     taper, high, share = _map_modes(geometry, raster.step_rad * (raster.n_scans - 1))
-    if np.sum(taper**2 * (item.hits == 0)) > UNHIT_MAX * np.sum(taper**2):
+    if np.sum(taper**2 * (item.hits[0] == 0)) > UNHIT_MAX * np.sum(taper**2):
         return np.nan, np.nan  # gaps would lower the variance
-    psd = mode_psd(signal, taper, geometry.pixel_rad) / geometry.pixel_rad**2
+    psd = mode_psd(item.signal_mk[0], taper, geometry.pixel_rad) / geometry.pixel_rad**2
     return float(np.sum(psd * share)), float(np.mean(psd[high]))
 
 

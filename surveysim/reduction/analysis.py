@@ -9,6 +9,7 @@ from mapmaker.geometry import MapGeometry
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.data_set import DataSet, data_sets
 from surveysim.reduction.scored_region import ScoredRegion, scored_region
+from surveysim.reduction.splits import SurveySplits
 from surveysim.runtime.once import once
 from surveysim.scene.scene import Scene
 from surveysim.telescope.beams import Beams
@@ -37,6 +38,8 @@ class AnalysisSetup:
         Weight (n_det,) of the samples of each detector in the maps, with a mean of 1; None where all weigh alike.
     beams
         Beams of the detectors, with their weights in the maps.
+    splits
+        Splits of the data into parts with maps of their own; None without any.
     """
 
     scene: Scene
@@ -48,11 +51,22 @@ class AnalysisSetup:
     n_det: int
     weight: np.ndarray | None
     beams: Beams
+    splits: SurveySplits | None = None
 
     @once
     def region(self) -> ScoredRegion | None:
         """Scored patch and multipoles; None without a score."""
         return scored_region(self.scene, self.geometry, self.sky_geometry, self.beams)
+
+    @property
+    def sums_patch(self) -> slice:
+        """Rows (and columns) of the map that jackknives and signal simulations are summed over.
+
+        The scored patch; all of a map that is solved for; none without a score.
+        """
+        if self.region is None:
+            return slice(0, 0)
+        return slice(0, self.geometry.n_y) if self.scene.map.solved else self.region.patch
 
     @once
     def signal_skies_mk(self) -> np.ndarray | None:

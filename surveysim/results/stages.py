@@ -3,6 +3,7 @@
 from surveysim.forecasting.forecast import can_forecast, why_no_forecast
 from surveysim.reduction.data_set import scaled_name
 from surveysim.reduction.setup import Setup, signal_sim_observations
+from surveysim.runtime.numbers import joined
 from surveysim.scene.scene import Scene
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.component import COMPONENTS, present_components
@@ -35,17 +36,32 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
     stages |= {item.name: item.sentence for item in present_components(scene)}
     stages |= {step.name: step.sentence for step in present_steps(setup) if step.section != "instrument"}
     stages["cleaning"] = ", ".join(pipeline.label for pipeline in setup.analysis.whole_pipelines)
-    stages["maps"] = f"{setup.analysis.geometry.n_x} x {setup.analysis.geometry.n_y} pixels"
+    stages["maps"] = f"{setup.analysis.geometry.n_x} x {setup.analysis.geometry.n_y} pixels{_maker(scene)}"
     if scene.score:
         n_with_sims = int(signal_sim_observations(scene).sum())
         stages["data sets"] = ", ".join([*setup.analysis.data_set_names, *map(scaled_name, _masked(setup))])
         stages["transfer function"] = f"{scene.score.signal_sims.skies} skies through {n_with_sims} observations"
         stages["score"] = f"multipoles {scene.score.ell_min} to {scene.score.ell_max}"
+        if scene.spectra:
+            counts = [f"{split.name} ({len(split.parts)} parts)" for split in setup.analysis.splits.splits]
+            stages["spectra"] = f"cross-spectra and null tests of splits by {joined(counts)}"
         if can_forecast(setup):
             stages["forecast"] = "closed form, for each data set"
     if scene.map.healpix_nside:
         stages["HEALPix"] = f"maps at nside {scene.map.healpix_nside}"
     return stages
+
+
+def _maker(scene: Scene) -> str:
+    """Say what maps are made by, where they are not binned."""
+    section = scene.map
+    if section.maker == "destriped":
+        return f", destriped with baselines of {section.destriped.baseline_s:g} s"
+    if section.maker == "maximum_likelihood":
+        return (
+            f", of maximum likelihood with the noise in {len(section.likelihood.band_edges_hz) + 1} bands of frequency"
+        )
+    return f", in up to {section.iteration.max_passes} passes over the survey" if section.maker == "iterative" else ""
 
 
 def _masked(setup: Setup) -> list[str]:

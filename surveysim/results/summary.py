@@ -13,12 +13,14 @@ from surveysim.results.closure import closure_tests
 from surveysim.results.metric_tables import metric_entries
 from surveysim.results.results import SurveyResult, forecast_agreement, score_entries
 from surveysim.results.sensitivity import saturation_warnings, sensitivities, sensitivity_entries
+from surveysim.results.spectra import spectra_entry
 from surveysim.results.stages import absent_sections, left_out, stages_that_run
 from surveysim.results.stopping import TOLD_ERRORS
 from surveysim.runtime.provenance import made_by, now
 from surveysim.runtime.strict_json import known
 from surveysim.scene.scene import scene_hash
 from surveysim.survey.coadds import row_names
+from surveysim.survey.convergence import map_maker_entry
 from surveysim.survey.scores import DataSetScore
 from surveysim.telescope.scans import samples_per_scan
 
@@ -54,6 +56,8 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "stopped": _stopped_entry(result),
         "scores": {},
     }
+    if setup.scene.map.maker != "binned":
+        content["map_maker"] = map_maker_entry(setup.scene, coadds)
     if setup.scene.losses:
         content["samples_lost"] = float(columns["flagged"].mean())
     if sensed:
@@ -74,6 +78,8 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         if not np.isnan(setup.analysis.region.scored_correlation):
             content["bin_correlation"] = setup.analysis.region.scored_correlation
         content["time_to_precision"] = [vars(cost) for cost in map(result.cost, TOLD_ERRORS) if cost]
+    if result.spectra:
+        content["spectra"] = spectra_entry(setup, result.spectra, coadds.done)
     content["closure"] = [vars(item) for item in closure_tests(setup, coadds, result.scores, result.expected)]
     content["run"] = {
         "date": now(),

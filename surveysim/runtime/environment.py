@@ -14,7 +14,7 @@ from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import LazyLoader
 from typing import Any
 
-from surveysim.runtime.printable import complain
+from mapmaker.printable import complain
 
 log = logging.getLogger("surveysim")
 

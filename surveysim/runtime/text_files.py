@@ -5,8 +5,8 @@ import stat
 from pathlib import Path
 from typing import Any
 
+from mapmaker.printable import printable, shortened
 from surveysim.runtime.errors import InputError
-from surveysim.runtime.printable import printable, shortened
 
 LONGEST_KEY = 100
 

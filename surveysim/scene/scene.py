@@ -21,11 +21,12 @@ from pydantic.json_schema import SkipJsonSchema
 from surveysim.runtime.errors import InputError, SceneError
 from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.text_files import nested_deeper, one_line, read_text
-from surveysim.scene.analysis import Cleaning, MapSection, Score
+from surveysim.scene.analysis import Cleaning, Score
 from surveysim.scene.assumed_values import assumed_of_site, assumed_values
 from surveysim.scene.error_lines import HIDDEN_KEYS, allowed_keys, error_lines, unknown_key, validation_lines
 from surveysim.scene.fields import Line, whole
 from surveysim.scene.instrument import Instrument
+from surveysim.scene.map_section import MapSection
 from surveysim.scene.noise_and_sky import ONE_NOISE, StreamSections
 from surveysim.scene.numerics import Numerics
 from surveysim.scene.observing import FieldSection, FixedPointing, Schedule
@@ -39,6 +40,7 @@ from surveysim.scene.scan_patterns import AnyScan
 from surveysim.scene.section import Section
 from surveysim.scene.shipped import MAX_NAME, NAME, find_scene, is_name, no_such_scene
 from surveysim.scene.sites import OWN
+from surveysim.scene.spectra import Spectra
 from surveysim.scene.telescope import TelescopeSection
 from surveysim.scene.units import file_value, shown
 
@@ -102,6 +104,7 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
     map: MapSection
     score: Score | None = None
     """Without it there are maps, but no uncertainties."""
+    spectra: Spectra | None = None
     numerics: Numerics = Numerics()
     optimise: Optimise | None = None
     assumed: SkipJsonSchema[tuple[str, ...]] = ()
@@ -158,6 +161,8 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
             *names, last = StreamSections.model_fields
             raise ValueError(f"at least one of {', '.join(names)} and {last} is expected")
         self.scan.check_observations(self.observations, self.schedule is not None)
+        if self.spectra:
+            self.spectra.check(self.score, self.scan)
         return self
 
     def _readout_fits(self) -> None:

@@ -13,10 +13,12 @@ import numpy as np
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
 from surveysim.reduction.figure_of_merit import TARGETS, best_places
+from surveysim.reduction.map_noise import weighs_itself
 from surveysim.reduction.observation_result import ObservationResult
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.scene import Scene
+from surveysim.scene.spectra import NIGHT
 from surveysim.survey.kernels import add_signed
 
 ROW_FIELDS = (
@@ -30,6 +32,31 @@ ROW_FIELDS = (
     "flagged",
 )
 _OF_SIGNALS = ("signal_maps", "signal_weight")
+_OF_SPLITS = ("split_sums", "split_weight", "split_flipped")
+_ARRAYS = ("sums", "weight", "hits", "flipped", *_OF_SIGNALS, *_OF_SPLITS)
+LISTS = ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd")  # with an entry for each observation
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """Convergence of maps that are solved for.
+
+    Parameters
+    ----------
+    name : str
+        Data set, or "signal simulations".
+    iterations : int
+        Iterations of the conjugate gradients.
+    residual : float
+        Largest residual of the normal equations over their right-hand side, of the map and its jackknives.
+    converged : bool
+        Whether all residuals are within the tolerance.
+    """
+
+    name: str
+    iterations: int
+    residual: float
+    converged: bool
 
 
 @dataclass
@@ -41,17 +68,23 @@ class CoAdds:
     sums, weight, hits : (n_set, n_y, n_x)
         Sums of w S, w H and H.
     flipped : (K, n_set, n, n)
-        Sums with random signs on the scored patch; (0, n_set, n, n) of one observation alone, where they follow from
-        `sums`.
+        Sums with random signs on the scored patch, or the whole map before it is solved for; (0, n_set, n, n) of one
+        observation alone, where they follow from `sums`.
     signal_maps : (n_sky, n_transfer, 2, n, n)
-        Signal simulations on the patch.
+        Signal simulations on the same pixels.
     signal_weight : (n_transfer, n, n)
+    split_sums, split_weight : (n_map, n, n)
+        Sums of w S and w H of the actual data in each part of the splits, on the patch; no maps without splits.
+    split_flipped : (n_map, K, 2, n, n)
+        Both with random signs of the observations (`split_signs`); K is 0 for one observation alone.
     rows
         One tuple per observation (`row_names`).
     bin_noise : (n_obs, n_set, n_bin)
         Noise variances per sample [mK^2].
     raw_psd, clean_psd : (n_obs, n_freq)
     compared_psd : (n_obs, n_compare, n_freq)
+    convergence
+        Convergence of maps that have been solved for.
     """
 
     sums: np.ndarray
@@ -60,12 +93,16 @@ class CoAdds:
     flipped: np.ndarray
     signal_maps: np.ndarray
     signal_weight: np.ndarray
+    split_sums: np.ndarray
+    split_weight: np.ndarray
+    split_flipped: np.ndarray
     rows: list[tuple[float, ...]] = field(default_factory=list)
     bin_noise: list[np.ndarray] = field(default_factory=list)
     raw_psd: list[np.ndarray] = field(default_factory=list)
     clean_psd: list[np.ndarray] = field(default_factory=list)
     compared_psd: list[np.ndarray] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
+    convergence: tuple[Convergence, ...] = ()
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out of a pickle the arrays that follow from others, in single observations two thirds of the bytes."""
@@ -74,7 +111,8 @@ class CoAdds:
             state |= dict.fromkeys(_OF_SIGNALS)
             state["signal_shapes"] = [getattr(self, name).shape for name in _OF_SIGNALS]
         if self.done == 1 and not len(self.flipped):
-            state |= {"weight": None, "hits": _in_few_bytes(self.hits)}
+            follows = np.array_equal(self.weight, self._weight_of_hits())
+            state |= {"hits": _in_few_bytes(self.hits)} | ({"weight": None} if follows else {})
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -84,7 +122,11 @@ class CoAdds:
         vars(self).update(state)
         self.hits = self.hits.astype(np.int64, copy=False)
         if state["weight"] is None:
-            self.weight = noise_weights(self.noise_mk2()[0])[:, None, None] * self.hits
+            self.weight = self._weight_of_hits()
+
+    def _weight_of_hits(self) -> np.ndarray:
+        """Weight of a single observation whose samples weigh alike."""
+        return noise_weights(self.noise_mk2()[0])[:, None, None] * self.hits
 
     @property
     def done(self) -> int:
@@ -129,21 +171,37 @@ class CoAdds:
 def empty_coadds(analysis: AnalysisSetup, *, flips: bool = True) -> CoAdds:
     """Make sums over no observation, with or without sign-flipped co-adds."""
     shape = (len(analysis.data_set_names), analysis.geometry.n_y, analysis.geometry.n_x)
-    return CoAdds(np.zeros(shape), np.zeros(shape), np.zeros(shape, np.int64), *_empty_patches(analysis, flips))
+    return CoAdds(np.zeros(shape), np.zeros(shape), np.zeros(shape, np.int64), **_empty_patches(analysis, flips))
 
 
-def _empty_patches(analysis: AnalysisSetup, flips: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Make the sums on the scored patch over no observation: `flipped`, `signal_maps` and `signal_weight`."""
+def array_names(analysis: AnalysisSetup) -> tuple[str, ...]:
+    """List the names of the arrays of a survey's sums: those of splits only where there are splits."""
+    return tuple(name for name in _ARRAYS if analysis.splits is not None or name not in _OF_SPLITS)
+
+
+def sums_bytes(analysis: AnalysisSetup) -> float:
+    """Size of the arrays of sums [bytes]."""
+    empty = empty_coadds(analysis)
+    return sum(getattr(empty, name).nbytes for name in _ARRAYS)
+
+
+def _empty_patches(analysis: AnalysisSetup, flips: bool) -> dict[str, Any]:
+    """Make the sums on the scored patch over no observation, by name."""
     n_set, n_transfer = len(analysis.data_set_names), len(analysis.transfer_function_names)
-    n_flip = n_sky = n = 0
+    n_flip = n_sky = n = n_split = n_split_flip = 0
     if analysis.scene.score:
         n_flip, n_sky = analysis.scene.score.jackknives * flips, analysis.n_signal_skies
-        n = len(analysis.region.taper)
-    return (
-        np.zeros((n_flip, n_set, n, n)),
-        np.zeros((n_sky, n_transfer, 2, n, n)),
-        np.zeros((n_transfer, n, n)),
-    )
+        n = len(range(analysis.geometry.n_y)[analysis.sums_patch])
+    if analysis.splits:
+        n_split, n_split_flip = analysis.splits.n_map, analysis.scene.spectra.realizations * flips
+    return {
+        "flipped": np.zeros((n_flip, n_set, n, n)),
+        "signal_maps": np.zeros((n_sky, n_transfer, 2, n, n)),
+        "signal_weight": np.zeros((n_transfer, n, n)),
+        "split_sums": np.zeros((n_split, n, n)),
+        "split_weight": np.zeros((n_split, n, n)),
+        "split_flipped": np.zeros((n_split, n_split_flip, 2, n, n)),
+    }
 
 
 def jackknife_signs(scene: Scene, observation: int) -> np.ndarray:
@@ -155,6 +213,12 @@ def jackknife_signs(scene: Scene, observation: int) -> np.ndarray:
     return 2.0 * rng.integers(0, 2, score.jackknives) - 1.0
 
 
+def split_signs(scene: Scene, observation: int) -> np.ndarray:
+    """Draw the signs (K,) of one observation in the sign-flipped split maps, the same in all parts."""
+    rng = generator(scene.seed, "signs of split maps", observation)
+    return 2.0 * rng.integers(0, 2, scene.spectra.realizations) - 1.0
+
+
 def observation_sums(analysis: AnalysisSetup, result: ObservationResult) -> CoAdds:
     """Weight one observation by its own noise: sums over it alone, without sign-flipped co-adds.
 
@@ -164,12 +228,12 @@ def observation_sums(analysis: AnalysisSetup, result: ObservationResult) -> CoAd
         For other shapes than those of the setup.
     """
     _check_shapes(analysis, result)
-    weights = noise_weights(result.noise_mk2)
+    weights = coadd_weights(analysis, result.noise_mk2)
     found = CoAdds(
         np.multiply(weights[:, None, None], result.sums, dtype=float),
         np.multiply(weights[:, None, None], result.exposure, dtype=float),
         result.hits.astype(np.int64),
-        *_empty_patches(analysis, flips=False),
+        **_empty_patches(analysis, flips=False),
         rows=[_row(result)],
         bin_noise=[result.bin_noise_mk2],
         raw_psd=[result.raw_psd],
@@ -179,6 +243,8 @@ def observation_sums(analysis: AnalysisSetup, result: ObservationResult) -> CoAd
     )
     if result.signal_maps is not None:
         _add_signal_maps(analysis, found, result, weights)
+    if analysis.splits:
+        _add_split_maps(analysis, found, result, weights[0])
     return found
 
 
@@ -198,13 +264,14 @@ def add_observations(analysis: AnalysisSetup, coadds: CoAdds, observations: Sequ
     for number, item in enumerate(observations, following):
         if (item.first, item.done) != (number, 1):
             raise ValueError(f"found observation {item.first}; {number} is the next in order")
-    patch = analysis.region.patch if analysis.region else slice(0, 0)
+    patch = analysis.sums_patch
     signs = np.stack([jackknife_signs(analysis.scene, item.first) for item in observations], axis=1)
     # All that could fail for want of memory comes before the first sum: none is left half done.
     patches = np.stack([item.sums[:, patch, patch] for item in observations])
     if len(signs):
         add_signed(coadds.flipped, patches, signs)
     for item in observations:
+        _flip_splits(analysis.scene, coadds, item)
         _add_arrays(coadds, item)
         _add_lists(coadds, item)
 
@@ -220,6 +287,7 @@ def add_sums(coadds: CoAdds, later: CoAdds) -> None:
     if later.first != coadds.end or later.flipped.shape != coadds.flipped.shape:
         raise ValueError(f"found sums from observation {later.first} on; {coadds.end} is the next in order")
     coadds.flipped += later.flipped
+    coadds.split_flipped += later.split_flipped
     _add_arrays(coadds, later)
     _add_lists(coadds, later)
 
@@ -231,10 +299,22 @@ def _add_arrays(coadds: CoAdds, later: CoAdds) -> None:
     if later.signal_weight.any():
         coadds.signal_maps += later.signal_maps
         coadds.signal_weight += later.signal_weight
+    coadds.split_sums += later.split_sums
+    coadds.split_weight += later.split_weight
+
+
+def _flip_splits(scene: Scene, coadds: CoAdds, item: CoAdds) -> None:
+    """Add the split maps of one observation with random signs, in place."""
+    if not len(item.split_sums):
+        return
+    signs = split_signs(scene, item.first)[:, None]
+    for number in np.flatnonzero(item.split_weight.any(axis=(1, 2))):  # one part of the split by night has it
+        maps = np.stack([item.split_sums[number], item.split_weight[number]])[None]
+        add_signed(coadds.split_flipped[number], maps, signs)
 
 
 def _add_lists(coadds: CoAdds, later: CoAdds) -> None:
-    for name in ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd"):
+    for name in LISTS:
         getattr(coadds, name).extend(getattr(later, name))
     for stage, seconds in later.seconds.items():
         coadds.seconds[stage] = coadds.seconds.get(stage, 0.0) + seconds
@@ -242,9 +322,7 @@ def _add_lists(coadds: CoAdds, later: CoAdds) -> None:
 
 def copied(coadds: CoAdds) -> CoAdds:
     """Copy sums: what is added to the copy leaves them as they are."""
-    arrays = ("sums", "weight", "hits", "flipped", "signal_maps", "signal_weight")
-    lists = ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd")
-    found: dict[str, Any] = {name: getattr(coadds, name).copy() for name in (*arrays, *lists, "seconds")}
+    found: dict[str, Any] = {name: getattr(coadds, name).copy() for name in (*_ARRAYS, *LISTS, "seconds")}
     return CoAdds(**found)
 
 
@@ -272,6 +350,12 @@ def noise_weights(noise_mk2: np.ndarray) -> np.ndarray:
     return np.divide(1.0, noise_mk2, out=np.zeros_like(noise_mk2), where=known)
 
 
+def coadd_weights(analysis: AnalysisSetup, noise_mk2: np.ndarray) -> np.ndarray:
+    """Factors of the sums of observations in co-adds; 1 where N^-1 has the weight already, 0 without data."""
+    weights = noise_weights(noise_mk2)
+    return (weights > 0).astype(float) if weighs_itself(analysis.scene.map) else weights
+
+
 def lost_scans(analysis: AnalysisSetup, coadds: CoAdds) -> np.ndarray:
     """Count the discarded scans (n_obs, n_set) of each observation so far, by data set.
 
@@ -294,11 +378,24 @@ def kept_shares(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
 
 
 def _add_signal_maps(analysis: AnalysisSetup, coadds: CoAdds, result: ObservationResult, weights: np.ndarray) -> None:
-    patch = analysis.region.patch
+    patch = analysis.sums_patch
     for place, name in enumerate(analysis.transfer_function_names):
         data_set = analysis.data_set_names.index(name)
         coadds.signal_maps[:, place] += weights[data_set] * result.signal_maps[:, place]
         coadds.signal_weight[place] += weights[data_set] * result.exposure[data_set][patch, patch]
+
+
+def _add_split_maps(analysis: AnalysisSetup, coadds: CoAdds, result: ObservationResult, weight: float) -> None:
+    patch, first = analysis.region.patch, 0
+    for split in analysis.splits.splits:
+        if split.name == NIGHT:
+            number = split.first + int(analysis.splits.night_parts[result.observation])
+            maps, found = slice(number, number + 1), (result.sums[:1, patch, patch], result.exposure[:1, patch, patch])
+        else:
+            maps, own = split.maps, slice(first, first + len(split.parts))
+            found, first = (result.split_sums[own], result.split_exposure[own]), own.stop
+        coadds.split_sums[maps] = np.multiply(weight, found[0], dtype=float)
+        coadds.split_weight[maps] = np.multiply(weight, found[1], dtype=float)
 
 
 def _row(result: ObservationResult) -> tuple[float, ...]:

@@ -45,7 +45,7 @@ def prepare(folder: Path) -> bytes:
     from mapmaker.geometry import MapGeometry
 
     rng = np.random.default_rng(4)
-    hits = rng.integers(0, 5, (7, 9))
+    hits = rng.integers(0, 5, (1, 7, 9))
     weight = hits * 0.25
     item = BinnedMap(
         MapGeometry(np.radians(132.3), np.radians(44.8), np.radians(1 / 180), 9, 7),
@@ -172,7 +172,7 @@ def tried(good: bool | None) -> Outcome:
     check(good is not False, "accepted")
     shape = item.hits.shape
     check(
-        len(shape) == 2 and item.weight.shape == shape == item.weighted_sum.shape,
+        len(shape) == 3 and item.weight.shape == shape == item.weighted_sum.shape,
         f"planes of {shape}, {item.weight.shape}",
     )
     check(np.isfinite(item.weight).all() and (item.weight >= 0).all(), "weights that are negative or not finite")
@@ -200,14 +200,14 @@ def _as_astropy(item: Any) -> None:
             planes = {name: np.asarray(file[name].data, float) for name in PLANES}
             units = {name: file[name].header.get("BUNIT", "") for name in PLANES}
             coordinates = [WCS(file[name].header) for name in PLANES]
-        ny, nx = item.hits.shape
+        _, ny, nx = item.hits.shape
         corners = np.array([[0, 0], [nx - 1, 0], [0, ny - 1], [nx - 1, ny - 1], [nx // 2, ny // 2]])
         wanted = [wcs.celestial.wcs_pix2world(corners, 0) if wcs.has_celestial else None for wcs in coordinates]
     check(units["SIGNAL"] == "mK", f"a signal in {units['SIGNAL']!r} was read as mK")
     seen = planes["WEIGHT"] > 0
-    check(np.allclose(item.signal_mk[seen], planes["SIGNAL"][seen], rtol=1e-5), "the signal was read otherwise")
+    check(np.allclose(item.signal_mk[0][seen], planes["SIGNAL"][seen], rtol=1e-5), "the signal was read otherwise")
     check(
-        np.allclose(item.weight, planes["WEIGHT"]) and np.allclose(item.hits, planes["HITS"]),
+        np.allclose(item.weight[0], planes["WEIGHT"]) and np.allclose(item.hits[0], planes["HITS"]),
         "weights or hits were read otherwise",
     )
     xi, eta = (plane[corners[:, 1], corners[:, 0]] for plane in geometry.pixel_centres(item.geometry))

@@ -98,7 +98,7 @@ def flux(item):
     """Sum over the map within 1.5 beams of the source."""
     xi, eta = pixel_centres(GEOMETRY)
     near = np.hypot(xi - 0.1 * ARCMIN, eta + 0.2 * ARCMIN) < 1.5 * FWHM
-    return float(item[near].sum())
+    return float(item[0, near].sum())
 
 
 @pytest.mark.parametrize("white_mk", [0.0, 3.0])
@@ -141,7 +141,7 @@ N_DRAW = 4
 
 
 def psd(map_mk):
-    return map_psd(map_mk, TAPER, GEOMETRY.pixel_rad, RINGS)
+    return map_psd(map_mk[0], TAPER, GEOMETRY.pixel_rad, RINGS)
 
 
 def transfer(map_mk, truth):

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.segment import Segment
 from rich.table import Column, Table
 
-from surveysim.runtime.printable import printable
+from mapmaker.printable import printable
 
 NARROWEST = 20
 WIDEST = 10_000

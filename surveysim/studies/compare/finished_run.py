@@ -11,9 +11,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from mapmaker.printable import printable, shortened
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.runtime.errors import SceneError
-from surveysim.runtime.printable import printable, shortened
 from surveysim.studies.sweep.point_store import PointResult, load_run
 from surveysim.survey.checkpoint import CheckpointError
 

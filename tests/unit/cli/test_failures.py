@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from mapmaker.printable import LONGEST, MOST_LINES, printable, short_lines, shortened
 from surveysim.cli import interrupts, options
 from surveysim.cli.main import ended
 from surveysim.runtime.engine import EngineError
 from surveysim.runtime.errors import SceneError
-from surveysim.runtime.printable import LONGEST, MOST_LINES, printable, short_lines, shortened
 from tests.scenes import SMALL_SCENE, write_scene
 
 EVIL = "\x1b[31mred\x07\r\n\u202eevil\u2028\x9b1m\udc80"  # without NUL, which no argument has
@@ -222,7 +222,7 @@ def test_many_lines():
 def test_version_of_the_entry_point():
     """The installed command and ``python -m surveysim`` are the same function."""
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())
-    assert project["project"]["scripts"] == {"surveysim": "surveysim.cli.main:main"}
+    assert project["project"]["scripts"]["surveysim"] == "surveysim.cli.main:main"
 
 
 def test_libraries_that_can_not_be_loaded(capfd, monkeypatch):

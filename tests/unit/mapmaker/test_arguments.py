@@ -49,6 +49,8 @@ STREAMS = {
     "focal_plane": PLANE,
 }
 PAIRS = mm.pair_bins(PLANE)
+COUPLING = mm.flat_coupling(TAPER, PIXEL, edges_ell=EDGES, beam=np.ones_like)
+REALIZED = RNG.standard_normal((9, 2))
 
 
 def changed(array, place, value):
@@ -189,6 +191,12 @@ TABLE = [
     (mm.PolynomialOptions, {"order": 1, "regions": 1, "tolerance": 1e-8, "max_iterations": 9},
      {"order": [-1, 1.5, 10**6, "1"], "regions": WRONG_SIZES}),
     (mm.PcaOptions, {"sigma_cut": 3.0}, {"sigma_cut": [*wrong_numbers(above=0), 1e200]}),
+    (mm.HighpassOptions, {"corner_hz": 0.2, "sample_rate_hz": 9.0, "order": 2},
+     {"corner_hz": [*wrong_numbers(above=0), 4.5], "sample_rate_hz": wrong_numbers(above=0), "order": [0, 1.5, 21]}),
+    (mm.NotchOptions, {"frequencies_hz": (1.4, 3.0), "widths_hz": (0.0, 0.1), "sample_rate_hz": 9.0},
+     {"frequencies_hz": [(0.0, 1.0), (1.0, 4.5), (1.0,), (1.0, np.nan), "ab", None],
+      "widths_hz": [(0.0,), (-0.1, 0.0), (0.0, 9.0), "ab", None], "sample_rate_hz": wrong_numbers(above=0)}),
+    (mm.TimePolynomialOptions, {"order": 1}, {"order": [0, 1.5, 21, "1"]}),
     (mm.LocalOptions, {"neighbour_radius": 1.2}, {"neighbour_radius": wrong_numbers(above=1)}),
     (mm.WindOptions, {"slowness_s_rad": np.zeros((3, 2)), "sample_rate_hz": 9.0, "tolerance": 1e-8,
                       "max_iterations": 9},
@@ -206,10 +214,10 @@ TABLE = [
      {"threshold": wrong_numbers(above=0), "loss": [*wrong_numbers(least=0), 1.0], "tolerance": wrong_numbers(above=0),
       "max_iterations": WRONG_SIZES}),
     (mm.gls_map, {"geometry": GEOMETRY, "observations": lambda: [BLOCK], "sample_rate_hz": 10.0, "options": GLS,
-                  "sky_mk": np.zeros((SIDE, SIDE))},
+                  "sky_mk": np.zeros((1, SIDE, SIDE))},
      {"observations": [lambda: [], lambda: [replace(BLOCK, index=INDEX + SIDE * SIDE)]],
       "sample_rate_hz": wrong_numbers(above=0),
-      "sky_mk": [v for v in wrong_arrays(np.zeros((SIDE, SIDE))) if v is not None]}),
+      "sky_mk": [v for v in wrong_arrays(np.zeros((1, SIDE, SIDE))) if v is not None]}),
     (mm.GlsOptions, {"band_edges_hz": (0.0, 1.0)},
      {"band_edges_hz": [(1.0,), (1.0, 1.0), (-1.0, 1.0), (0.0, np.nan), (np.nan, 1.0), (0, np.inf, np.inf), "ab", None],
       "max_modes": [-1, 1.5, "1"], "eigenvalue_cut": wrong_numbers(least=1)}),
@@ -221,8 +229,8 @@ TABLE = [
     (measure_noise, {"data_mk": DATA, "scan_bounds": BOUNDS, "sample_rate_hz": 10.0, "options": GLS},
      {"data_mk": [changed(DATA, (0, 0), np.nan), DATA[0], DATA.astype(complex)],
       "sample_rate_hz": wrong_numbers(above=0), "scan_bounds": [*WRONG_BOUNDS, np.zeros((0, 2), int)]}),
-    (subtract_sky, {"block": BLOCK, "sky_mk": np.zeros((SIDE, SIDE))},
-     {"sky_mk": wrong_arrays(np.zeros((SIDE, SIDE)))}),
+    (subtract_sky, {"block": BLOCK, "sky_mk": np.zeros((1, SIDE, SIDE))},
+     {"sky_mk": wrong_arrays(np.zeros((1, SIDE, SIDE)))}),
     (mm.measure_wind, {"data_mk": DATA, "scan_bounds": BOUNDS, "focal_plane": PLANE, "sample_rate_hz": 10.0,
                        "scan_velocity_rad_s": np.zeros((3, 2))},
      {"data_mk": [*WRONG_STREAMS, changed(DATA, (0, 0), np.nan)], "scan_bounds": [*WRONG_BOUNDS, BOUNDS[:2]],
@@ -300,6 +308,33 @@ TABLE = [
       "mask": [np.ones(3), np.zeros(3, bool), [1, 0, 1], None]}),
     (mm.estimate_amplitude, {"psd_ukcmb2": np.ones((2, 3)), "noise_psd_ukcmb2": np.ones(3), **BINS},
      {"psd_ukcmb2": [np.ones((2, 4)), np.full(3, np.nan), np.ones(3, complex), "abc", None]}),
+    (mm.flat_coupling, {"taper": TAPER, "pixel_rad": PIXEL, "edges_ell": EDGES, "beam": np.ones_like},
+     {"taper": [*wrong_arrays(TAPER)][1:] + [0 * TAPER], "pixel_rad": wrong_pixels(),
+      "edges_ell": [EDGES[::-1], EDGES[:1], [1.0, np.nan], EDGES[None], "ab", [1e9, 2e9], -EDGES[::-1], None, []],
+      "beam": [lambda ell: -ell, lambda ell: ell[:-1], lambda ell: ell * np.nan, lambda ell: 0 * ell],
+      "transfer": [np.ones(3), np.zeros(2), -np.ones(2), np.ones(2, complex), "ab"],
+      "sky_shape": [(24, 25, 26), (24,), (2.5, 24), ("a", 1)], "cells_per_pixel": WRONG_SIZES[:-3]}),
+    (mm.plane_distortion, {"taper": TAPER, "pixel_rad": PIXEL},
+     {"taper": [*wrong_arrays(TAPER)][1:] + [0 * TAPER], "pixel_rad": wrong_pixels()}),
+    (mm.curved_coupling, {"taper": np.ones(48), "edges_ell": [1.0, 3.0], "beam": np.ones_like},
+     {"taper": [*wrong_arrays(np.ones(48)), np.zeros(48)],
+      "edges_ell": [[3.0, 1.0], [1.0], [1.0, np.nan], [[1.0, 3.0]], "ab", [1.0, 5.0], [-1.0, 3.0], None, []],
+      "beam": [lambda ell: -ell, lambda ell: ell[:-1]], "transfer": [np.ones(3), [0.0], "ab"]}),
+    (mm.cross_band_powers, {"maps_uk": SKIES, "coupling": COUPLING},
+     {"maps_uk": [*wrong_arrays(SKIES), SKIES[:1]], "signal_uk2": [np.ones(3), "ab", np.ones(2, complex)]}),
+    (mm.realized_band_powers, {"maps_uk": SKIES, "coupling": COUPLING},
+     {"maps_uk": [SKIES[..., :-1], SKIES[0], SKIES[:1], changed(SKIES, (0, 0, 0), np.nan), "ab", None]}),
+    (mm.monte_carlo_covariance, {"realized_uk2": REALIZED},
+     {"realized_uk2": [REALIZED[0], REALIZED[:1], REALIZED[None], REALIZED.astype(complex), "ab", None, []]}),
+    (mm.chi_squared, {"residual_uk2": np.ones(2), "covariance": mm.Covariance(np.eye(2), 0)},
+     {"residual_uk2": [np.ones(3), np.ones((1, 2)), np.full(2, np.nan), np.ones(2, complex), "ab", None, []],
+      "covariance": [mm.Covariance(np.eye(3), 0), mm.Covariance(np.full((2, 2), np.nan), 0)],
+      "mask": [np.ones(2), np.zeros(2, bool), [True], "ab"]}),
+    (mm.null_power, {"pair_uk": SKIES[:2], "coupling": COUPLING},
+     {"pair_uk": [SKIES, SKIES[0], SKIES[:2, :-1], changed(SKIES[:2], (0, 0, 0), np.nan), "ab", None]}),
+    (mm.null_test, {"power_uk2": np.ones(2), "realized_uk2": REALIZED},
+     {"power_uk2": [np.ones(3), np.full(2, np.nan), "ab", None], "realized_uk2": [REALIZED[:1], REALIZED[0], None],
+      "mask": [np.ones(2), np.zeros(2, bool), [True]]}),
 ]  # fmt: skip
 CASES = [
     pytest.param(function, right, name, list(values), id=f"{row}-{function.__name__}-{name}")
@@ -336,7 +371,9 @@ def test_every_public_function_has_a_row():
     named = {function.__name__ for function, _, _ in TABLE}
     # These take records that have been checked, or files; maps are above.
     others = {"read_timestreams", "write_timestreams", "read_fits", "write_fits", "write_healpix", "half_difference"}
+    others |= {"read_band_powers", "write_band_powers", "write_null_tests", "write_sacc"}
     records = {"BinnedMap", "Timestreams", "pixel_indices", "scan_velocities", "pair_bins", "measure_wind"}
+    records |= {"ModeCoupling", "BandPowers", "Covariance"}
     assert set(mm.__all__) <= named | others | records
 
 
@@ -364,7 +401,7 @@ def test_values_that_are_not_used_may_be_anything():
 
 
 def test_hits_do_not_overflow():
-    many = replace(MAP, hits=np.full((SIDE, SIDE), 2**31 - 1, np.int32))
+    many = replace(MAP, hits=np.full((1, SIDE, SIDE), 2**31 - 1, np.int32))
     assert mm.coadd([many, many], [1.0, 1.0]).hits.max() == 2 * (2**31 - 1)
 
 

@@ -10,6 +10,7 @@ from mapmaker.binning import (
     bin_map,
     coadd,
     half_difference,
+    map_shape,
     read_fits,
     weighted_mean,
     write_fits,
@@ -148,7 +149,7 @@ def test_add_signed(rng):
 
 def random_map(rng, geometry=GEOMETRY):
     """A map whose sums come of the weights and signal, part of it not observed."""
-    hits = rng.integers(0, 5, (geometry.n_y, geometry.n_x))
+    hits = rng.integers(0, 5, map_shape(geometry))
     weight = hits * rng.uniform(0.1, 0.3)
     return BinnedMap(geometry, rng.standard_normal(hits.shape) * weight, weight, hits)
 
@@ -159,7 +160,7 @@ def test_bin_map(rng):
     found = bin_map(GEOMETRY, data, index, BOUNDS, kept=KEPT)
     total, hits = naive.bin_samples(data, index, BOUNDS, KEPT, GEOMETRY.n_x * GEOMETRY.n_y)
     assert found.geometry == GEOMETRY
-    np.testing.assert_array_equal(found.hits, hits.reshape(GEOMETRY.n_y, GEOMETRY.n_x))
+    np.testing.assert_array_equal(found.hits, hits.reshape(1, GEOMETRY.n_y, GEOMETRY.n_x))
     np.testing.assert_array_equal(found.weight, found.hits)
     np.testing.assert_allclose(found.weighted_sum.ravel(), total, atol=1e-14)
     seen = hits > 0
@@ -253,7 +254,7 @@ def test_fits_as_astropy_sees_it(written):
     ra, dec = plane_directions(g, xi, eta)
     assert sky.frame.name == "icrs"
     assert [sky.ra.rad, sky.dec.rad] == pytest.approx([ra, dec], rel=1e-12)
-    assert value == pytest.approx(item.signal_mk[11, 3], rel=1e-6)
+    assert value == pytest.approx(item.signal_mk[0, 11, 3], rel=1e-6)
 
 
 @pytest.mark.parametrize("centre", [(132.3, 44.84), (0.0, -68.75), (359.99, 0.0), (70.0, 89.5)])
@@ -312,7 +313,7 @@ def test_healpix_map_as_healpy_sees_it(tmp_path, rng, nside):
         lon, lat = wcs(g).wcs_pix2world(column, row, 0)
         pixel = int(healpy.ang2pix(nside, lon, lat, nest=True, lonlat=True))
         for sums, plane in ((total, item.weighted_sum), (weight, item.weight), (hits, item.hits)):
-            sums[pixel] = sums.get(pixel, 0) + plane[row, column]
+            sums[pixel] = sums.get(pixel, 0) + plane[0, row, column]
     seen = sorted(pixel for pixel in hits if hits[pixel])
     assert 1 < len(seen) < (item.hits > 0).sum()
     check_table(
@@ -336,7 +337,7 @@ def test_the_finest_healpix_map_has_no_holes(tmp_path, centre):
     nside = 512
     pixel_rad = np.sqrt(np.pi / 3) / (1.5 * nside) * (1 - 1e-9)
     assert finest_nside(pixel_rad) == nside
-    ones = np.ones((60, 60))
+    ones = np.ones((1, 60, 60))
     item = BinnedMap(MapGeometry(*np.radians(centre), pixel_rad, 60, 60), ones, ones, ones.astype(int))
     write_healpix(tmp_path / "map.fits", item, nside)
     ra, dec = np.radians(centre)
@@ -365,9 +366,9 @@ def test_finest_nside(arcsec, nside):
 
 def test_half_difference_is_the_noise_of_the_coadd(rng):
     """A sky that both maps see alike goes, at any weights; noise has the variance of the co-add."""
-    sky, sums = 100 * rng.standard_normal((18, 24)), []
+    sky, sums = 100 * rng.standard_normal((1, 18, 24)), []
     weights = [rng.uniform(0.5, 2, sky.shape), rng.uniform(5, 20, sky.shape)]
-    weights[0][3, 4] = 0
+    weights[0][0, 3, 4] = 0
     for _ in range(300):
         one, other = (
             BinnedMap(GEOMETRY, w * sky + np.sqrt(w) * rng.standard_normal(sky.shape), w, np.ones(sky.shape, int))
@@ -376,7 +377,7 @@ def test_half_difference_is_the_noise_of_the_coadd(rng):
         sums.append(half_difference(one, other))
     found = np.array([item.signal_mk for item in sums])
     weight = sums[0].weight
-    assert weight[3, 4] == 0 and (found[:, 3, 4] == 0).all()
+    assert weight[0, 3, 4] == 0 and (found[:, 0, 3, 4] == 0).all()
     seen = weight > 0
     np.testing.assert_array_equal(weight[seen], (weights[0] + weights[1])[seen])
     scaled = (found * np.sqrt(weight))[:, seen]

@@ -60,7 +60,7 @@ def test_maps_are_written_without_astropy(tmp_path):
         "import sys, numpy as np",
         "from mapmaker.binning import BinnedMap, write_fits",
         "from mapmaker.geometry import MapGeometry",
-        "item = BinnedMap(MapGeometry(2.3, 0.7, 1e-4, 6, 4), *np.ones((2, 4, 6)), np.ones((4, 6), int), 'mK-2')",
+        "item = BinnedMap(MapGeometry(2.3, 0.7, 1e-4, 6, 4), *np.ones((2, 1, 4, 6)), np.ones((1, 4, 6), int), 'mK-2')",
         f"write_fits({str(tmp_path / 'map.fits')!r}, item, {{'SCENE': 'lynx', 'SEED': 1}})",
         "assert 'astropy' not in sys.modules",
     ]

@@ -129,7 +129,7 @@ def test_a_sky_known_beforehand_does_not_disturb_the_noise():
     rng = np.random.default_rng(6)
     index = np.array([rng.permutation(12) for _ in range(5 * 8)]).reshape(5, 96).astype(np.int32)
     noise = rng.standard_normal((5, 96))
-    sky = rng.standard_normal((3, 4))
+    sky = rng.standard_normal((1, 3, 4))
     bounds = np.arange(8)[:, None] * 12 + [0, 12]
     alone = StreamBlock(noise, index, bounds, plane(5))
     both = StreamBlock(noise + sky.ravel()[index], index, bounds, plane(5))

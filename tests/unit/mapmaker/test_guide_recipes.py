@@ -59,7 +59,7 @@ def offset_of_peak(item, centre_deg):
     """Distance [arcmin] of the brightest pixel from the source."""
     from mapmaker.geometry import plane_offsets
 
-    row, column = np.unravel_index(np.argmax(item.signal_mk), item.signal_mk.shape)
+    row, column = np.unravel_index(np.argmax(item.signal_mk), item.signal_mk[0].shape)
     g = item.geometry
     place = (g.n_x / 2 - 0.5 - column) * g.pixel_rad, (row + 0.5 - g.n_y / 2) * g.pixel_rad
     source = plane_offsets(g, *np.radians(centre_deg))

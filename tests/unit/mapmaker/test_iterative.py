@@ -31,8 +31,8 @@ def halved(item, kept=(True, True)):
 
 
 def bright_sky():
-    sky = np.zeros((5, 6))
-    sky[1, 2], sky[3, 4] = 8.0, -8.0
+    sky = np.zeros((1, 5, 6))
+    sky[0, 1, 2], sky[0, 3, 4] = 8.0, -8.0
     return sky
 
 
@@ -71,8 +71,8 @@ def test_a_map_without_signal_is_that_of_one_cleaning():
 
 def test_a_pixel_that_was_signal_stays_so():
     """From the second pass on, the cleaning leaves one pixel at a sixteenth of the other: below the floor."""
-    sky = np.zeros((5, 6))
-    sky[1, 2], sky[3, 4] = 8.0, 8.0
+    sky = np.zeros((1, 5, 6))
+    sky[0, 1, 2], sky[0, 3, 4] = 8.0, 8.0
     item, passes = block(sky), []
 
     def fading(left):
@@ -82,7 +82,7 @@ def test_a_pixel_that_was_signal_stays_so():
 
     options = IterationOptions(loss=0.5, tolerance=1e-12, max_iterations=3)
     result = iterate_map(GEOMETRY, lambda: [item], fading, options)
-    np.testing.assert_allclose([result.estimate_mk[1, 2], result.estimate_mk[3, 4]], [8.0, 0.5])
+    np.testing.assert_allclose([result.estimate_mk[0, 1, 2], result.estimate_mk[0, 3, 4]], [8.0, 0.5])
 
 
 def test_observations_are_asked_for_at_each_pass_and_left_alone():
@@ -120,14 +120,14 @@ def test_discarded_scans_are_not_in_the_map():
 
 def test_subtraction_is_per_pixel_and_spares_what_lies_off_the_map():
     item = block(bright_sky())
-    left = subtract_sky(item, np.full((5, 6), 2.0))
+    left = subtract_sky(item, np.full((1, 5, 6), 2.0))
     np.testing.assert_array_equal(left.data_mk, item.data_mk - 2.0 * (item.index >= 0))
     single = StreamBlock(item.data_mk.astype(np.float32), item.index, BOUNDS, item.focal_plane)
     assert subtract_sky(single, bright_sky()).data_mk.dtype == np.float32
 
 
 def map_of(values, weight):
-    return BinnedMap(GEOMETRY, values * weight, weight, (weight > 0).astype(int))
+    return BinnedMap(GEOMETRY, (values * weight)[None], weight[None], (weight > 0).astype(int)[None])
 
 
 def test_significance_is_against_the_maps_own_scatter():
@@ -136,17 +136,17 @@ def test_significance_is_against_the_maps_own_scatter():
     values = np.where(np.arange(30).reshape(5, 6) % 2, 0.5, -0.5)
     values[2, 2], values[4, 1] = -0.5 * 1.4826 * 5.01, 0.5 * 1.4826 * 4.99
     found = significant(map_of(values, weight), NARROW, 5.0, 0.0)
-    assert np.argwhere(found).tolist() == [[2, 2]]
+    assert np.argwhere(found[0]).tolist() == [[2, 2]]
     weight[4, 1] *= 1.1
     found = significant(map_of(values, weight), NARROW, 5.0, 0.0)
-    assert np.argwhere(found).tolist() == [[2, 2], [4, 1]]
+    assert np.argwhere(found[0]).tolist() == [[2, 2], [4, 1]]
 
 
 def test_significance_is_a_share_of_the_brightest():
     values = np.zeros((5, 6))
     values[1, 1], values[2, 2], values[3, 3] = 10.0, -2.1, 1.9
     found = significant(map_of(values, np.ones((5, 6))), NARROW, 5.0, 0.2)
-    assert np.argwhere(found).tolist() == [[1, 1], [2, 2]]
+    assert np.argwhere(found[0]).tolist() == [[1, 1], [2, 2]]
 
 
 def test_unobserved_pixels_are_never_significant():
@@ -154,7 +154,7 @@ def test_unobserved_pixels_are_never_significant():
     values[2, 3] = 10.0
     weight[2, 4] = 0.0
     found = significant(map_of(values, weight), 2 * GEOMETRY.pixel_rad, 5.0, 0.0)
-    assert found[2, 2] and not found[2, 4]
+    assert found[0, 2, 2] and not found[0, 2, 4]
     assert not significant(map_of(values, np.zeros((5, 6))), NARROW, 5.0, 0.0).any()
 
 
@@ -164,9 +164,11 @@ def test_a_source_is_found_by_its_beam():
     rng = np.random.default_rng(3)
     y, x = np.indices((60, 60))
     source = 3 * np.exp(-((x - 30) ** 2 + (y - 30) ** 2) * 4 * np.log(2) / 5**2)
-    item = BinnedMap(geometry, source + rng.standard_normal((60, 60)), np.ones((60, 60)), np.ones((60, 60), int))
-    assert significant(item, 5e-4, 5.0, 0.0)[30, 30]
-    assert not significant(item, NARROW, 5.0, 0.0)[30, 30]
+    item = BinnedMap(
+        geometry, source + rng.standard_normal((1, 60, 60)), np.ones((1, 60, 60)), np.ones((1, 60, 60), int)
+    )
+    assert significant(item, 5e-4, 5.0, 0.0)[0, 30, 30]
+    assert not significant(item, NARROW, 5.0, 0.0)[0, 30, 30]
 
 
 def test_noise_is_alike_where_the_weight_changes():
@@ -175,11 +177,11 @@ def test_noise_is_alike_where_the_weight_changes():
     The beam joins some 7 pixels along the step, which leaves 280 points of 2000: 5 sigma are 0.14.
     """
     rng = np.random.default_rng(4)
-    weight = np.where(np.arange(60) < 30, 1.0, 100.0) * np.ones((2000, 1))
+    weight = np.where(np.arange(60) < 30, 1.0, 100.0) * np.ones((1, 2000, 1))
     geometry = MapGeometry(2.3, 0.7, 1e-4, 60, 2000)
     item = BinnedMap(geometry, np.sqrt(weight) * rng.standard_normal(weight.shape), weight, weight.astype(int))
     found = significant(item, 2 * np.sqrt(8 * np.log(2)) * 1e-4, 1.0, 0.0)
-    np.testing.assert_allclose(found[:, 24:36].mean(axis=0), 0.317, atol=0.14)
+    np.testing.assert_allclose(found[0, :, 24:36].mean(axis=0), 0.317, atol=0.14)
 
 
 @pytest.mark.parametrize("values", [{"threshold": 0}, {"loss": 1.0}, {"tolerance": 0}, {"max_iterations": 0}])

@@ -15,7 +15,7 @@ RNG = np.random.default_rng(6)
 
 
 def a_map(unit="mK-2"):
-    hits = RNG.integers(0, 5, (GEOMETRY.n_y, GEOMETRY.n_x))
+    hits = RNG.integers(0, 5, (1, GEOMETRY.n_y, GEOMETRY.n_x))
     weight = hits * (1.0 if unit == "count" else 0.2)
     return BinnedMap(GEOMETRY, RNG.standard_normal(hits.shape) * weight, weight, hits, unit)
 

@@ -17,8 +17,8 @@ import numba
 import pytest
 
 from mapmaker.kernels import compiled
+from mapmaker.printable import printable
 from surveysim.runtime import environment
-from surveysim.runtime.printable import printable
 from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE, write_scene
 
 COMMAND = [sys.executable, "-m", "surveysim"]
