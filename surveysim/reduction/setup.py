@@ -24,7 +24,6 @@ from surveysim.reduction.consistency import (
     check_score,
     check_size,
     check_sky,
-    check_sources,
     check_templates,
     sky_coefficients,
 )
@@ -37,6 +36,8 @@ from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory
 from surveysim.reduction.response_checks import check_response
 from surveysim.reduction.scored_region import padded_side, patch_side
 from surveysim.reduction.signal_sims import carriers
+from surveysim.reduction.sky_checks import check_contents
+from surveysim.reduction.splits import SurveySplits, survey_splits
 from surveysim.runtime.errors import InputError, OutOfRangeError, SceneError
 from surveysim.scene.bands import errors_of
 from surveysim.scene.scene import Scene
@@ -225,8 +226,10 @@ def _prepare(scene: Scene) -> Setup:
     drawn = _simulation(scene, common)
     lowest = _lowest(scene, common.times, scans)
     weight = detector_weights(drawn.camera, check_levels(scene, drawn.air.water, lowest))
-    check_sources(scene, common.sky_geometry)
     others = _others(scene, common) if "spectral" in scene.cleaning.named else ()
+    for item in (drawn, *others):
+        with errors_of(item.scene, scene):
+            check_contents(item.scene, item.sky.geometry, item.sky.fwhm_rad)
     calibration = _calibration(scene, (drawn, *others))
     setup = Setup(
         **vars(drawn),
@@ -240,6 +243,7 @@ def _prepare(scene: Scene) -> Setup:
             drawn.camera.n_det,
             weight,
             beams_of(drawn.camera, weight),
+            _splits(scene, cam, common),
         ),
         others=others,
     )
@@ -260,6 +264,11 @@ def _others(scene: Scene, common: _Common) -> tuple[Simulation, ...]:
         with errors_of(item, scene):
             found.append(_simulation(item, common))
     return tuple(found)
+
+
+def _splits(scene: Scene, cam: Camera, common: _Common) -> SurveySplits | None:
+    starts = None if common.times is None else common.times.start_mjd
+    return survey_splits(scene, cam.focal_plane, starts, None if common.dated is None else common.dated.block)
 
 
 def _calibration(scene: Scene, bands: tuple[Simulation, ...]) -> np.ndarray | None:
@@ -288,6 +297,7 @@ def _sizes(setup: Setup, strip_elements: int) -> Sizes:
         n_set=len(setup.analysis.data_set_names),
         n_transfer=len(setup.analysis.transfer_function_names),
         n_sky=setup.analysis.n_signal_skies,
+        n_split=setup.analysis.splits.n_map if setup.analysis.splits else 0,
         n_beam=len(setup.camera.beams.fwhm_rad),
         strip_elements=strip_elements,
         n_coefficients=sky_coefficients(scene.sky.curved_lmax, setup.sky.geometry) if curved else 0,
