@@ -29,8 +29,9 @@ from surveysim.telescope.pixel_coherence import part_weights
 from surveysim.telescope.scans import Scans, samples_per_scan
 from surveysim.timestreams.low_frequency import excess_psd
 
-# Components with a closed form of these maps.
+# Components, and steps of the response, with a closed form of these maps.
 COMPONENTS = ("photon", "detector", "excess", "atmosphere", "sky")
+STEPS = ("pointing_errors", "responsivity")
 MOST_DETECTORS = 600  # whose covariance is inverted in each band
 _DRAWS = 8  # observations that represent a survey
 
@@ -103,24 +104,36 @@ class StreamNoise:
 
 def likelihood_sums(
     setup: Setup, pipeline: CleaningPipeline, conditions: ObservingConditions, share: np.ndarray, options: GlsOptions
-) -> tuple[Modes, SolvedSums]:
-    """Add up the observations of a survey, with fractions of kept samples (n_obs,); a few represent all."""
+) -> tuple[Modes, SolvedSums, np.ndarray]:
+    """Add up the observations of a survey, with fractions of kept samples (n_obs,); a few represent all.
+
+    Returns
+    -------
+    modes, sums
+    noise : (n_obs, n_bin)
+        Noise variance a sample of each observation [mK^2].
+    """
     bins = map_bins(setup, pipeline, conditions, white_shapes(setup), None)
-    totals = [np.zeros((len(bins), bins[0].frequencies.at_hz.size)) for _ in range(3)]
-    for draw, weight in _representatives(conditions, share):
-        for node, of in enumerate(bins):
-            for total, item in zip(totals, _observation(setup, pipeline, of, conditions, draw, options), strict=True):
-                total[node] += weight * item
-    modes = bins[0].frequencies.modes
-    normal, noise, signal = (item.reshape(-1, *modes.wave.shape) for item in totals)
-    return modes, SolvedSums(normal, noise, signal)
+    modes, shape = bins[0].frequencies.modes, (len(bins), bins[0].frequencies.at_hz.size)
+    normal, added, signal = np.zeros((3, *shape))
+    noise = np.empty((len(share), len(modes.wave)))
+    for alike in _representatives(conditions):
+        draw, weight = int(alike[len(alike) // 2]), share[alike].sum() / len(share)
+        found = [_observation(setup, pipeline, of, conditions, draw, options) for of in bins]
+        for node, (of_node, *others) in enumerate(found):
+            normal[node] += weight * of_node
+            added[node] += weight * others[0]
+            signal[node] += weight * others[1]
+        of_track = conditions.speed_share[draw] @ np.array([item[0] for item in found])
+        noise[alike] = setup.observing.scans.sample_rate_hz / modes.mean(of_track)
+    sums = SolvedSums(*(item.reshape(-1, *modes.wave.shape) for item in (normal, added, signal)))
+    return modes, sums, noise
 
 
-def _representatives(conditions: ObservingConditions, share: np.ndarray) -> Iterator[tuple[int, float]]:
-    """Observations of all strengths of the layer, and the fraction of the survey that each stands for."""
+def _representatives(conditions: ObservingConditions) -> list[np.ndarray]:
+    """Group the observations by the strength of the layer; the middle one of a group represents it."""
     order = np.argsort(conditions.layers.sum(axis=0), kind="stable")
-    for alike in np.array_split(order, min(_DRAWS, len(order))):
-        yield int(alike[len(alike) // 2]), float(share[alike].sum() / len(order))
+    return np.array_split(order, min(_DRAWS, len(order)))
 
 
 def _observation(
