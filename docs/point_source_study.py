@@ -19,8 +19,8 @@ from surveysim.metrics.map_noise import noise_of_score
 from surveysim.metrics.point_source import quantities
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.scene.metrics import PointSourceDepth
-from surveysim.scene.noise_and_sky import Sky
 from surveysim.scene.scene import Scene, load_scene
+from surveysim.scene.sky import Sky
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.run import run_observations
 from surveysim.survey.scores import score_survey

@@ -178,12 +178,12 @@ def _analytic_covariance(coupling: ModeCoupling, signal_uk2: np.ndarray, noise: 
     return Covariance(
         np.where(both, coupling.inverse @ covariance @ coupling.inverse.T, np.nan),
         0,
-        (_distant_flag(int(distant.sum())),) if distant.any() else (),
+        (_distant_flag(distant),) if distant.any() else (),
     )
 
 
-def _distant_flag(n_bin: int) -> str:
+def _distant_flag(distant: np.ndarray) -> str:
     return (
-        f"{n_bin} bins have more than {100 * MOST_DISTANT:.0f} % of their power from distant multipoles: their "
-        "analytic errors are too small"
+        f"{distant.sum()} of {distant.size} bins: more than {100 * MOST_DISTANT:.0f} % of the power comes from distant "
+        "multipoles, and analytic errors are too small"
     )

@@ -150,18 +150,22 @@ def coupling_flags(coupling: ModeCoupling) -> tuple[str, ...]:
     flags = []
     usable, widths = coupling.usable, np.diff(coupling.edges_ell)
     if not usable.all():
-        flags.append(f"{np.sum(~usable)} of {usable.size} bins have no band power: beam, scans or cleaning remove them")
+        flags.append(
+            f"{np.sum(~usable)} of {usable.size} bins: no band power, because beam, scans or cleaning remove it"
+        )
     if widths.min() < coupling.resolution_ell:
         flags.append(
-            f"the taper resolves {coupling.resolution_ell:.0f} in ell, and bins are {widths.min():.0f} wide: "
-            "wider bins are better"
+            f"bins {widths.min():.0f} wide in ell: the taper resolves {coupling.resolution_ell:.0f}, and wider bins "
+            "are better"
         )
     few = usable & (coupling.n_modes < FEWEST_MODES)
     if few.any():
-        flags.append(f"{few.sum()} bins have fewer than {FEWEST_MODES:.0f} modes: their errors are not Gaussian")
+        flags.append(
+            f"{few.sum()} of {few.size} bins: fewer than {FEWEST_MODES:.0f} modes, and errors that are not Gaussian"
+        )
     condition = _condition(coupling.matrix[np.ix_(usable, usable)])
     if condition > MOST_CONDITION:
-        flags.append(f"the coupling matrix has the condition number {condition:.2g}: wider bins are better")
+        flags.append(f"a coupling matrix of the condition number {condition:.2g}: decoupling amplifies errors")
     return tuple(flags)
 
 

@@ -348,7 +348,7 @@ def gls_map(scans, n_pixel):
     return np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ right
 
 
-def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, loose, share, own, lost):
+def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, loose, share, own, lost, filtered):
     """Sum over the streams' frequencies of what an apodization lets through, with w looked up between its steps."""
 
     def w(frequency_hz):
@@ -358,7 +358,7 @@ def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, loos
     for k in range(len(at)):
         row = strength[k] if len(strength) > 1 else strength[0]
         for a in range(len(frequency)):
-            value = w(at[k] - frequency[a]) - mean[a] * w(at[k])
+            value = w(at[k] - frequency[a]) - mean[a] * w(at[k]) - (filtered[k, a] if filtered.size else 0.0)
             averaged = 2 * loose[a] * mean[a] * w(at[k] - frequency[a]) * w(at[k])
             total[:, k] += averaged * row[a] * power[:, a]
             total[:, k] += (1 - sum(share)) * value**2 * row[a] * power[:, a]

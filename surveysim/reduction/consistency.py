@@ -6,9 +6,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from mapmaker.bandpower import flat_spectrum_psd
-from mapmaker.cleaning import TEMPLATE_CLEANINGS
+from mapmaker.cleaning import TEMPLATE_CLEANINGS, TIME_FILTERS
 from mapmaker.cleaning.responsivity import OBSERVATION, SCAN
-from mapmaker.geometry import MapGeometry, check_nside, plane_offsets
+from mapmaker.geometry import MapGeometry, check_nside
 from mapmaker.stream_psd import highest_frequency
 from mapmaker.timestreams import FocalPlane
 from mapmaker.transfer_function import beam_window
@@ -16,6 +16,7 @@ from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES, MIN_SCANS
 from surveysim.atmosphere.water import wettest_mm
 from surveysim.atmosphere.weather import Water
 from surveysim.reduction.cleaning_pipelines import needed_detectors
+from surveysim.reduction.filter_checks import check_time_filters
 from surveysim.reduction.scored_region import FAINTEST, padded_side
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.numbers import plural
@@ -56,6 +57,7 @@ def check_templates(scene: Scene, cam: Camera, scans: Scans) -> None:
             )
         if "wind" in steps:
             _check_wind(scene, key, scans)
+    check_time_filters(scene, samples_per_scan(scans))
 
 
 def _check_wind(scene: Scene, key: str, scans: Scans) -> None:
@@ -82,7 +84,7 @@ def _check_wind(scene: Scene, key: str, scans: Scans) -> None:
 def _check_fits(scene: Scene, key: str, steps: tuple[str, ...]) -> None:
     """Raise SceneError for a cleaning without a layer, on which a fit calibrates the detectors."""
     found = repr(steps[0]) if len(steps) == 1 else list(steps)
-    if scene.turbulent or steps == ("none",):
+    if scene.turbulent or {*steps} <= {"none", *TIME_FILTERS}:
         return
     if scene.atmosphere is None:
         raise SceneError(f"cleaning.{key}: found {found} without [atmosphere]; 'none' is expected")
@@ -166,27 +168,6 @@ def check_levels(scene: Scene, water: Water | None, lowest_rad: float) -> WhiteL
     """Return the noise in the wettest weather at the lowest elevation; raises OutOfRangeError if it is not finite."""
     most_mm = wettest_mm(scene.atmosphere) if water else math.nan
     return white_levels(scene, water.opacity if water else None, most_mm, lowest_rad)
-
-
-def check_sources(scene: Scene, grid: MapGeometry) -> None:
-    """Raise SceneError for a point source that no detector sees: three beams or more outside the sky `grid`."""
-    for number, source in enumerate(scene.sky.point_sources if scene.sky else ()):
-        offsets = plane_offsets(grid, source.ra_rad, source.dec_rad)
-        allowed_rad = grid.n_x * grid.pixel_rad / 2 + 3 * scene.instrument.beam_fwhm_rad
-        # Written so that NaN, of a direction behind the plane, is refused.
-        if not np.max(np.abs(offsets)) <= allowed_rad:
-            distance = _separation(grid, source.ra_rad, source.dec_rad)
-            raise SceneError(
-                f"sky.point_sources.{number}: found a source {math.degrees(distance):.4g} deg from the field's centre,"
-                f" outside the map; one within {math.degrees(allowed_rad):.4g} deg in right ascension and declination"
-                " is expected"
-            )
-
-
-def _separation(grid: MapGeometry, ra_rad: float, dec_rad: float) -> float:
-    """Angle [rad] of a direction from the centre of a map (haversine)."""
-    across = math.cos(dec_rad) * math.cos(grid.dec0_rad) * math.sin((ra_rad - grid.ra0_rad) / 2) ** 2
-    return 2 * math.asin(min(1.0, math.sqrt(math.sin((dec_rad - grid.dec0_rad) / 2) ** 2 + across)))
 
 
 def check_excess(scene: Scene) -> None:

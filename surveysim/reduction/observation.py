@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from mapmaker.formats.hdf5 import timestream_file
 from mapmaker.geometry import MapGeometry
 from mapmaker.kernels.pixels import bin_samples
 from mapmaker.stream_psd import hann_power, white_level
-from mapmaker.timestreams import timestream_file
 from surveysim.reduction.cleaned_block import CleanedBlock, reduce_block
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
 from surveysim.reduction.detector_weights import weighted

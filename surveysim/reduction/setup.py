@@ -24,7 +24,6 @@ from surveysim.reduction.consistency import (
     check_score,
     check_size,
     check_sky,
-    check_sources,
     check_templates,
     sky_coefficients,
 )
@@ -37,6 +36,7 @@ from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory
 from surveysim.reduction.response_checks import check_response
 from surveysim.reduction.scored_region import padded_side, patch_side
 from surveysim.reduction.signal_sims import carriers
+from surveysim.reduction.sky_checks import check_contents
 from surveysim.reduction.splits import SurveySplits, survey_splits
 from surveysim.runtime.errors import InputError, OutOfRangeError, SceneError
 from surveysim.scene.bands import errors_of
@@ -226,8 +226,10 @@ def _prepare(scene: Scene) -> Setup:
     drawn = _simulation(scene, common)
     lowest = _lowest(scene, common.times, scans)
     weight = detector_weights(drawn.camera, check_levels(scene, drawn.air.water, lowest))
-    check_sources(scene, common.sky_geometry)
     others = _others(scene, common) if "spectral" in scene.cleaning.named else ()
+    for item in (drawn, *others):
+        with errors_of(item.scene, scene):
+            check_contents(item.scene, item.sky.geometry, item.sky.fwhm_rad)
     calibration = _calibration(scene, (drawn, *others))
     setup = Setup(
         **vars(drawn),

@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from surveysim.runtime.errors import InputError
 from surveysim.scene.fields import PositiveAngle, PositiveBandPower, TableOrName, number, whole
 from surveysim.scene.section import Section
+from surveysim.scene.sky import check_profile
 from surveysim.scene.spectrum_table import read_spectrum
 from surveysim.scene.unions import union_of
 from surveysim.scene.units import shown
@@ -196,12 +197,9 @@ class ClusterDepth(_SourceDepth):
 
     @model_validator(mode="after")
     def _keys_of_profile(self) -> Self:
-        given = {"theta_500": self.theta_500_rad, "core_radius": self.core_radius_rad, "beta": self.beta}
-        needed = {"arnaud": ("theta_500",), "beta": ("core_radius", "beta")}[self.profile]
-        for key, value in given.items():
-            if (value is None) == (key in needed):
-                found = "missing; it is expected with" if value is None else "found with"
-                raise ValueError(f"{key}: {found} the profile {self.profile!r}")
+        check_profile(
+            self.profile, {"theta_500": self.theta_500_rad, "core_radius": self.core_radius_rad, "beta": self.beta}
+        )
         return self
 
 

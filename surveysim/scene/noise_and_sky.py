@@ -1,6 +1,6 @@
-"""Sections [excess], [photon], [detector] and [sky]: noise and astronomical signal in the time-streams."""
+"""Sections [excess], [photon] and [detector]: noise in the time-streams; and the list of all components' sections."""
 
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
@@ -8,27 +8,21 @@ from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.fields import (
     B2_MAX,
     B2Knots,
-    BandFrequency,
-    BandPowerExtent,
     Coherence,
     Conductance,
     Energy,
-    Flux,
     Frequency,
-    Latitude,
     Load,
-    Longitude,
     Nep,
     NoisePsd,
     PhotonCoherence,
     PhysicalTemperature,
     Share,
-    Temperature,
     Variances,
     number,
-    whole,
 )
 from surveysim.scene.section import Section, check_knots
+from surveysim.scene.sky import Sky
 from surveysim.scene.units import shown
 
 
@@ -194,53 +188,6 @@ class Detector(Section):
         """Key that states the noise; None where the table of detectors does."""
         keys = {"psd": self.psd_mk2_hz, "nep": self.nep_w_rthz, "bolometer": self.bolometer, "kid": self.kid}
         return next((key for key, value in keys.items() if value is not None), None)
-
-
-class PointSource(Section):
-    """Point source, of one temperature in the beam or of a flux density with a power-law spectrum."""
-
-    ra_rad: Longitude = Field(alias="ra")
-    """Right ascension (J2000)."""
-    dec_rad: Latitude = Field(alias="dec")
-    """Declination (J2000)."""
-    peak_mk: Temperature | None = Field(alias="peak", default=None)
-    """Peak Rayleigh-Jeans temperature in the beam, in any band. Alternative: `flux`."""
-    flux_jy: Flux | None = Field(alias="flux", default=None)
-    """Flux density at the frequency `flux_frequency`; the mean over the band gives the peak temperature in the beam.
-    Alternative: `peak`."""
-    flux_frequency_hz: BandFrequency | None = Field(alias="flux_frequency", default=None)
-    """Frequency of `flux`. Required with it."""
-    spectral_index: Annotated[float, *number(-20, 20)] | None = None
-    """Index of the flux density as a power of frequency, such as 3.5 for dust. Required with `flux`."""
-
-    @model_validator(mode="after")
-    def _one_brightness(self) -> Self:
-        if (self.peak_mk is None) == (self.flux_jy is None):
-            raise ValueError("exactly one of 'peak' and 'flux' is expected")
-        for name in ("flux_frequency", "spectral_index"):
-            if (self.flux_jy is None) != (getattr(self, name.replace("frequency", "frequency_hz")) is None):
-                found = "found without 'flux'" if self.flux_jy is None else "missing; 'flux' needs it"
-                raise ValueError(f"{name}: {found}")
-        return self
-
-
-class Sky(Section):
-    """Astronomical signal: CMB anisotropy with a flat band power, and point sources."""
-
-    cmb_band_power_ukcmb2: BandPowerExtent = Field(alias="cmb_band_power")
-    """Flat CMB band power l (l + 1) C_l / 2 pi, in thermodynamic temperature; 0 for no CMB."""
-    point_sources: tuple[PointSource, ...] = ()
-    """Any number of point sources."""
-    curved_lmax: Annotated[int, *whole(2, 30_000)] | None = None
-    """Highest multipole of a CMB map on the sphere, for fields too large for the flat-sky approximation; above
-    `score.ell_max` if there is a score. Computing time grows with its second to third power."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _no_nside(cls, data: Any) -> Any:
-        if isinstance(data, dict) and "curved_nside" in data:
-            raise ValueError("curved_nside: found; the key is 'curved_lmax' now, the highest multipole of the sky")
-        return data
 
 
 class StreamSections(Section):

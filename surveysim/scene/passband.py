@@ -95,6 +95,11 @@ class Passband:
         x = _X_PER_HZ * frequency
         return float(CMB_TEMPERATURE_K * self.cmb_per_rj * np.sum(self._rj_per_cmb * (x / np.tanh(x / 2) - 4)))
 
+    def power_law(self, frequency_hz: float, index: float) -> float:
+        """Mean over the band of ``(nu / frequency_hz)^index``."""
+        frequency, weight = self.nodes
+        return float(weight @ (frequency / frequency_hz) ** index)
+
     @property
     def _rj_per_cmb(self) -> np.ndarray:
         """Rayleigh-Jeans temperature per CMB temperature at the nodes, times their weights."""

@@ -35,14 +35,15 @@ def read_spectrum(key: str, path: Path) -> tuple[np.ndarray, np.ndarray]:
         line with the key, the file and the row (from 1) or column.
     """
     try:
-        ell, cl = _columns(read_text(path, MAX_BYTES).splitlines())
+        ell, cl = spectrum_columns(read_text(path, MAX_BYTES).splitlines())
     except InputError as error:
         missing = "" if os.path.lexists(path) else "no such file in the folder of the scene"
         raise InputError(f"{key}: {path}: {missing or error}; a table of ell and cl is expected") from None
     return ell, ell * (ell + 1) * cl / (2 * np.pi)
 
 
-def _columns(lines: list[str]) -> tuple[np.ndarray, np.ndarray]:
+def spectrum_columns(lines: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Return ell and C_ell [uK2] of the lines of an ECSV table; raises InputError without the name of the file."""
     table = ecsv_table(lines)
     if set(table.colnames) != {"ell", "cl"}:
         raise InputError(f"found the columns {shown(', '.join(table.colnames))}")

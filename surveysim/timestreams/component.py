@@ -82,7 +82,7 @@ COMPONENTS = (
         "sky",
         "Sky",
         add_scene_sky,
-        "CMB and point sources",
+        "CMB, maps, clusters and sources",
         through_response=True,
         absence=": noise alone",
     ),

@@ -118,17 +118,20 @@ def scene_sky(scene: Scene, geometry: MapGeometry, fwhm_rad: tuple[float, ...]) 
     """
     if scene.sky is None:
         return None
+    from surveysim.timestreams.fixed_sky import fixed_sky
     from surveysim.timestreams.sky_maps import draw_sky, source_peak_mk
 
     instrument, area_m2, skies = scene.instrument, effective_area_m2(scene), []
-    for width in fwhm_rad:
+    fixed = fixed_sky(scene, geometry, fwhm_rad)
+    for place, width in enumerate(fwhm_rad):
         rng, dilution = generator(scene.seed, RandomPurpose.SKY), _dilution(scene, width)
         sources = [
             item.model_copy(update={"peak_mk": source_peak_mk(item, instrument.band, area_m2) * dilution})
             for item in scene.sky.point_sources
         ]
         section = scene.sky.model_copy(update={"point_sources": tuple(sources)})
-        skies.append(draw_sky(section, geometry, instrument.cmb_per_rj, width, rng))
+        here = None if fixed is None else fixed[place]
+        skies.append(draw_sky(section, geometry, instrument.cmb_per_rj, width, rng, fixed_mk=here))
     return np.stack(skies)
 
 

@@ -1,4 +1,7 @@
-"""Astronomical skies on a fine tangent-plane grid: a flat CMB band power and point sources."""
+"""Astronomical skies on a fine tangent-plane grid: Gaussian skies of a spectrum, and point sources."""
+
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -7,8 +10,8 @@ from mapmaker.geometry import MapGeometry, pixel_centres, plane_offsets
 from mapmaker.spectrum import mode_ell
 from mapmaker.transfer_function import beam_window
 from surveysim.runtime.errors import OutOfRangeError
-from surveysim.scene.noise_and_sky import PointSource, Sky
 from surveysim.scene.passband import Passband
+from surveysim.scene.sky import PointSource, Sky
 from surveysim.scene.units import BOLTZMANN_J_K
 
 
@@ -34,11 +37,19 @@ def flat_cmb_sky(
     -------
     (n_y, n_x) float32 array [mK RJ]
     """
+    of_ell = partial(flat_spectrum_mk2, band_power_ukcmb2=band_power_ukcmb2, cmb_per_rj=cmb_per_rj)
+    return flat_sky(geometry, of_ell, fwhm_rad, rng)
+
+
+def flat_sky(
+    geometry: MapGeometry, spectrum_mk2: Callable[[np.ndarray], np.ndarray], fwhm_rad: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Draw a sky of any spectrum C_l [mK^2 sr, Rayleigh-Jeans] of multipoles; else as `flat_cmb_sky`."""
     from scipy.fft import irfft2, rfft2
 
     n_y, n_x, pixel = geometry.n_y, geometry.n_x, geometry.pixel_rad
     ell = mode_ell(n_y, n_x, pixel)
-    amplitude = np.sqrt(flat_spectrum_mk2(ell, band_power_ukcmb2, cmb_per_rj) * beam_window(ell, fwhm_rad))
+    amplitude = np.sqrt(spectrum_mk2(ell) * beam_window(ell, fwhm_rad))
     modes = rfft2(rng.standard_normal((n_y, n_x))) * (amplitude / pixel)
     return irfft2(modes, (n_y, n_x)).astype(np.float32)
 
@@ -58,11 +69,24 @@ def curved_cmb_sky(
     high order vanish (`highest_order`), so a small field takes few of them. The accuracy of the non-uniform synthesis
     of ducc0 is 1e-6 of the rms.
     """
+    of_ell = partial(flat_spectrum_mk2, band_power_ukcmb2=band_power_ukcmb2, cmb_per_rj=cmb_per_rj)
+    return curved_sky(geometry, of_ell, fwhm_rad=fwhm_rad, lmax=lmax, rng=rng)
+
+
+def curved_sky(
+    geometry: MapGeometry,
+    spectrum_mk2: Callable[[np.ndarray], np.ndarray],
+    *,
+    fwhm_rad: float,
+    lmax: int,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Draw a sky of any spectrum C_l [mK^2 sr, Rayleigh-Jeans] of multipoles; else as `curved_cmb_sky`."""
     from ducc0.sht import synthesis_general
 
     mmax = highest_order(geometry, lmax)
     ell = np.arange(lmax + 1)
-    spectrum = np.sqrt(flat_spectrum_mk2(ell, band_power_ukcmb2, cmb_per_rj) * beam_window(ell, fwhm_rad))
+    spectrum = np.sqrt(spectrum_mk2(ell) * beam_window(ell, fwhm_rad))
     alm = np.concatenate([_coefficients(spectrum[m:], m, rng) for m in range(mmax + 1)])
     start = np.cumsum([0, *lmax + 1 - np.arange(mmax)]) - np.arange(mmax + 1)  # place of l = 0 of each order
     xi, eta = pixel_centres(geometry)
@@ -124,8 +148,7 @@ def source_peak_mk(source: PointSource, band: Passband, effective_area_m2: float
     """
     if source.peak_mk is not None:
         return source.peak_mk
-    frequency, weight = band.nodes
-    mean_jy = source.flux_jy * float(weight @ (frequency / source.flux_frequency_hz) ** source.spectral_index)
+    mean_jy = source.flux_jy * band.power_law(source.flux_frequency_hz, source.spectral_index)
     return 1e3 * 1e-26 * mean_jy * effective_area_m2 / (2 * BOLTZMANN_J_K)
 
 
@@ -137,15 +160,38 @@ def central_source(geometry: MapGeometry, fwhm_rad: float) -> np.ndarray:
 
 
 def draw_sky(
-    section: Sky, geometry: MapGeometry, cmb_per_rj: float, fwhm_rad: float, rng: np.random.Generator
+    section: Sky,
+    geometry: MapGeometry,
+    cmb_per_rj: float,
+    fwhm_rad: float,
+    rng: np.random.Generator,
+    *,
+    fixed_mk: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Draw the beam-convolved sky of a scene, (n_y, n_x) float32 [mK RJ], sharpened for look-up by streams."""
-    power, lmax = section.cmb_band_power_ukcmb2, section.curved_lmax
-    if lmax is None:
-        cmb = flat_cmb_sky(geometry, power, cmb_per_rj, fwhm_rad, rng)
-    else:
-        cmb = curved_cmb_sky(geometry, power, cmb_per_rj, fwhm_rad=fwhm_rad, lmax=lmax, rng=rng)
-    return sharpened(add_point_sources(cmb, geometry, section.point_sources, fwhm_rad))
+    """Draw the beam-convolved sky of a scene, (n_y, n_x) float32 [mK RJ], sharpened for look-up by streams.
+
+    `fixed_mk` (n_y, n_x) is the part of it that is neither random nor a point source, through the same beam.
+    """
+    sky = np.zeros((geometry.n_y, geometry.n_x), np.float32)
+    if section.is_random:
+        spectrum, lmax = partial(sky_spectrum_mk2, section, cmb_per_rj), section.curved_lmax
+        if lmax is None:
+            sky = flat_sky(geometry, spectrum, fwhm_rad, rng)
+        else:
+            sky = curved_sky(geometry, spectrum, fwhm_rad=fwhm_rad, lmax=lmax, rng=rng)
+    if fixed_mk is not None:
+        sky = sky + fixed_mk
+    return sharpened(add_point_sources(sky, geometry, section.point_sources, fwhm_rad))
+
+
+def sky_spectrum_mk2(section: Sky, cmb_per_rj: float, ell: np.ndarray) -> np.ndarray:
+    """Compute C_l [mK^2 sr, Rayleigh-Jeans] of the random sky of a scene; 0 off the table of its spectrum."""
+    found = flat_spectrum_mk2(ell, section.cmb_band_power_ukcmb2 or 0.0, cmb_per_rj)
+    if section.spectrum is not None:
+        knots, power = section.spectrum_table
+        there = np.interp(ell, knots, power, left=0.0, right=0.0)
+        found = found + there * flat_spectrum_mk2(ell, 1.0, cmb_per_rj)
+    return found
 
 
 def sharpened(sky_mk: np.ndarray) -> np.ndarray:

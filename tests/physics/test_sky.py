@@ -16,9 +16,9 @@ from mapmaker.spectrum import annuli, coupled_psd, map_psd, mode_ell, mode_psd, 
 from mapmaker.transfer_function import beam_window
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
-from surveysim.scene.noise_and_sky import PointSource, Sky
 from surveysim.scene.passband import top_hat
 from surveysim.scene.scene import load_scene
+from surveysim.scene.sky import PointSource, Sky
 from surveysim.telescope.diffraction import effective_area_m2
 from surveysim.timestreams.sky_maps import (
     add_point_sources,

@@ -9,10 +9,11 @@ from pathlib import PurePath
 from typing import Any
 
 from surveysim.reduction.signal_sims import carriers
-from surveysim.report.html.components import UK2, Block, Terms
+from surveysim.report.html.components import Block, Terms
 from surveysim.report.html.readout import DESCRIPTIONS
 from surveysim.report.html.response import response_terms
 from surveysim.report.html.scan_words import scan_words
+from surveysim.report.html.sky_words import sky_words
 from surveysim.runtime.numbers import joined, number, plural, short
 from surveysim.scene.sites import OWN, site_title
 from surveysim.scene.units import b2_unit
@@ -28,6 +29,9 @@ CLEANINGS = {
     "pca": "adaptive PCA",
     "local": "subtraction of the mean of neighbours",
     "spectral": "subtraction of the signal common to the bands",
+    "highpass": "a high-pass filter",
+    "notch": "notch filters",
+    "time_polynomial": "subtraction of a polynomial in time",
 }
 COHERENCES = {
     "field": "as far as the fields of overlapping beams are coherent (hypothesis of Sayers et al. 2010)",
@@ -277,25 +281,10 @@ def _detector(detector: Values) -> Iterator[str]:
     yield "independent between detectors."
 
 
-def _sky(sky: Values) -> Iterator[str]:
-    yield f"A CMB of flat band power, {short(sky['cmb_band_power_ukcmb2'])} {UK2}"
-    yield f"on the sphere up to l = {sky['curved_lmax']}" if sky["curved_lmax"] else "on the plane"
-    sources = sky["point_sources"]
-    peaks = [f"{short(source['peak_mk'])} mK" for source in sources if source["peak_mk"] is not None]
-    fluxes = [
-        f"{short(1e3 * source['flux_jy'])} mJy at {short(source['flux_frequency_hz'] / 1e9)} GHz"
-        f" (spectral index {short(source['spectral_index'])})"
-        for source in sources
-        if source["peak_mk"] is None
-    ]
-    brightness = "; ".join([*([", ".join(peaks) + " (Rayleigh-Jeans)"] if peaks else []), *fluxes])
-    yield f"and {plural(len(sources), 'point source')} of {brightness}." if sources else "alone."
-
-
 _COMPONENTS: dict[str, Callable[[Any], Iterator[str]]] = {
     "atmosphere": _atmosphere,
     "excess": _excess,
-    "sky": _sky,
+    "sky": sky_words,
     "photon": _photon,
     "detector": _detector,
     **DESCRIPTIONS,
@@ -320,10 +309,37 @@ def _cleaning(cleaning: Values) -> Iterator[str]:
     if not named.isdisjoint(TEMPLATE_CLEANINGS):
         yield _RESPONSIVITIES[cleaning["responsivities"]].format(error=cleaning["calibration_error"])
     yield f"Templates are iterated to {number(cleaning['tolerance'], 1)}, at most {cleaning['max_iterations']} times."
-    details = {"sigma_cut": "sigma", "neighbour_radius": "closest separations", "order": "", "regions": ""}
-    for key, unit in details.items():
+    if "pca" in named:
+        yield f"PCA removes modes by {_CRITERIA[cleaning['pca_criterion']]}."
+    for key, unit in _DETAILS.items():
         if cleaning[key] is not None:
-            yield f"{key.replace('_', ' ').capitalize()}: {f'{short(cleaning[key])} {unit}'.strip()}."
+            name = key.removesuffix("_hz").replace("_", " ").capitalize().replace("Pca", "PCA")
+            yield f"{name}: {f'{_values(cleaning[key])} {unit}'.strip()}."
+
+
+_CRITERIA = {
+    "sigma_cut": "outliers of their logarithms",
+    "modes": "number",
+    "variance": "their share of the variance",
+    "marchenko_pastur": "the largest eigenvalue of white noise",
+}
+_DETAILS = {
+    "sigma_cut": "sigma",
+    "pca_modes": "",
+    "pca_variance": "",
+    "neighbour_radius": "closest separations",
+    "order": "",
+    "regions": "",
+    "highpass_frequency_hz": "Hz",
+    "highpass_order": "",
+    "notch_frequencies_hz": "Hz",
+    "notch_widths_hz": "Hz",
+    "time_order": "",
+}
+
+
+def _values(value: Any) -> str:
+    return joined([short(item) for item in value]) if isinstance(value, list | tuple) else short(value)
 
 
 def _map(scene: Values) -> Iterator[str]:

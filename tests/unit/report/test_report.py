@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from mapmaker.report.page import units
 from surveysim import load_scene, run, run_sweep
 from surveysim.api import forecast_sweep
 from surveysim.report.figures.survey import TITLES
 from surveysim.report.html.captions import RUN
-from surveysim.report.html.page import NoResultsError, units, write_report
+from surveysim.report.html.page import NoResultsError, write_report
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.numbers import as_known, count, duration, number, short, with_error
 from tests.pages import read_page, rows_of, value_of
@@ -280,7 +281,7 @@ def test_a_scene_of_a_site_in_words(tmp_path):
         "Horns are 0.6 (f/#)λ wide. The efficiency from window to detector is 30 %. Detectors absorb 2 polarizations.",
         "Its outer scale is 2000 m.",
         "Average subtraction, then adaptive PCA.",
-        "A CMB of flat band power, 1000 µK²CMB on the plane and 1 point source of 5 mK",
+        "A CMB of flat band power, 1000 µK²CMB, on the plane. 1 point source of 5 mK",
     ):
         assert words in page.text
 

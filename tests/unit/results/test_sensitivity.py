@@ -18,7 +18,7 @@ from surveysim.results.sensitivity import (
     sensitivity_table,
 )
 from surveysim.runtime.engine import SERIAL
-from surveysim.scene.noise_and_sky import PointSource
+from surveysim.scene.sky import PointSource
 from surveysim.scene.units import BOLTZMANN_J_K
 from surveysim.telescope.array_noise import array_psd
 from surveysim.telescope.diffraction import effective_area_m2
