@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from surveysim.forecasting.closed_forms import layers
+from surveysim.forecasting.closed_forms import Noise, layers
 from surveysim.forecasting.fitted_modes import NO_FITTED_MODES
 from surveysim.forecasting.mode_response import Modes
 from surveysim.forecasting.noise_bins import MapBins, scan_frequencies
@@ -20,6 +20,8 @@ from surveysim.forecasting.track_motions import track_motions
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.setup import Setup
 from surveysim.telescope.scans import samples_per_scan
+
+_DRAWS = 32  # observations at a time: their noise in all motions and modes is in memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +64,7 @@ def destriped_noise(
     after = cleaning.after.then(pieces.left, pieces.right, pieces.odd)
     bins = map_bins(setup, pipeline, conditions, white_shapes(setup), ScanFilters(cleaning.before, after, rate))
     modes, terms = bins[0].frequencies.modes, present_terms(setup.scene)
-    parts = {term: np.stack([term(_of_each_mode(item))(conditions) for item in bins], axis=1) for term in terms}
+    parts = {term: _of_all_draws([term(_of_each_mode(item)) for item in bins], conditions) for term in terms}
     noise = np.sum(list(parts.values()), axis=0)
     normal = np.array([_normal(setup, item, ScanFilters(nothing, pieces, rate)) for item in bins])
     seen = ObservationNoise(
@@ -71,6 +73,15 @@ def destriped_noise(
         1 - modes.mean(normal.mean(axis=0)),
     )
     return DestripedNoise(modes, noise, normal, np.array([item.signal_amplitude() for item in bins]), seen)
+
+
+def _of_all_draws(noise: list[Noise], conditions: ObservingConditions) -> np.ndarray:
+    """Noise (n_obs, n_speed, n_mode) of a term at each speed, some observations at a time."""
+    found = []
+    for first in range(0, len(conditions.sine), _DRAWS):
+        some = conditions.some(slice(first, first + _DRAWS))
+        found.append(np.stack([item(some) for item in noise], axis=1))
+    return np.concatenate(found)
 
 
 def _of_bins(modes: Modes, noise: np.ndarray, conditions: ObservingConditions) -> np.ndarray:
