@@ -310,7 +310,6 @@ def write_healpix(path: str | Path, item: BinnedMap, nside: int) -> None:
     """
     check_nside("nside", nside, item.geometry.pixel_rad)
     import healpy
-    from astropy.io import fits
 
     item = checked_map(item)
     rows, columns = np.nonzero(item.weight[0] > 0)
@@ -320,10 +319,37 @@ def write_healpix(path: str | Path, item: BinnedMap, nside: int) -> None:
     total, weight, hits = (
         np.bincount(slot, plane[0, rows, columns], len(pixel)) for plane in (item.weighted_sum, item.weight, item.hits)
     )
+    planes = {"weighted_sum": total, "weight": weight, "hits": hits}
+    write_healpix_pixels(path, nside, pixel=pixel, **planes, weight_unit=item.weight_unit)
+
+
+def write_healpix_pixels(
+    path: str | Path,
+    nside: int,
+    *,
+    pixel: np.ndarray,
+    weighted_sum: np.ndarray,
+    weight: np.ndarray,
+    hits: np.ndarray,
+    weight_unit: str,
+) -> None:
+    """Write sums on HEALPix pixels (partial sky, nested) as signal, weight and hits, atomically.
+
+    Parameters
+    ----------
+    path, nside
+    pixel : (n_pixel,)
+        Numbers, increasing.
+    weighted_sum, weight, hits : (n_pixel,)
+        As in `BinnedMap`; weights are above 0.
+    weight_unit
+    """
+    from astropy.io import fits
+
     table_columns = [
         fits.Column("PIXEL", "K", array=pixel),
-        fits.Column("SIGNAL", "E", "mK", array=single_precision("signal_mk", total / weight)),
-        fits.Column("WEIGHT", "E", item.weight_unit, array=single_precision("weight", weight)),
+        fits.Column("SIGNAL", "E", "mK", array=single_precision("signal_mk", weighted_sum / weight)),
+        fits.Column("WEIGHT", "E", weight_unit, array=single_precision("weight", weight)),
         fits.Column("HITS", "J" if _integers(hits) is np.int32 else "K", array=hits),
     ]
     table = fits.BinTableHDU.from_columns(table_columns)

@@ -317,15 +317,26 @@ def coupled_psd(
     from scipy.fft import irfft2, rfft2
 
     correlation = irfft2(sky_psd, sky_shape, workers=1) * (cells_per_pixel / pixel_rad) ** 2
-    # Zero padding to twice the side separates lags of both signs at the edge of the grid.
-    grow = tuple(1 + (2 * _extent(taper, axis) > n) for axis, n in enumerate(taper.shape))
-    shape = tuple(n * factor for n, factor in zip(taper.shape, grow, strict=True))
-    lags = [np.rint(np.fft.fftfreq(n, 1 / n)).astype(int) * cells_per_pixel for n in shape]
-    at_lags = correlation[np.ix_(*(lag % n for lag, n in zip(lags, sky_shape, strict=True)))]
-    spread = rfft2(taper, shape, workers=1)
-    at_lags *= irfft2(spread.real**2 + spread.imag**2, shape, workers=1)
-    power = rfft2(at_lags, workers=1).real[:: grow[0], :: grow[1]]
+    lags, tied = taper_autocorrelation(taper)
+    places = (lag * cells_per_pixel % n for lag, n in zip(lags, sky_shape, strict=True))
+    at_lags = correlation[np.ix_(*places)]
+    at_lags *= tied
+    step_y, step_x = (padded // n for padded, n in zip(tied.shape, taper.shape, strict=True))
+    power = rfft2(at_lags, workers=1).real[::step_y, ::step_x]
     return power * (pixel_rad**2 / np.sum(taper**2))
+
+
+def taper_autocorrelation(taper: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+    """Lags [pixels] along y and x, in the order of `fft2`, and the sum of a taper times itself at those lags.
+
+    The grid of lags is once or twice as large as the taper (n_y, n_x), so that lags of both signs stay apart.
+    """
+    from scipy.fft import irfft2, rfft2
+
+    shape = tuple(n * (1 + (2 * _extent(taper, axis) > n)) for axis, n in enumerate(taper.shape))
+    spread = rfft2(taper, shape, workers=1)
+    lags = [np.rint(np.fft.fftfreq(n, 1 / n)).astype(int) for n in shape]
+    return lags, irfft2(spread.real**2 + spread.imag**2, shape, workers=1)
 
 
 def _extent(taper: np.ndarray, axis: int) -> int:

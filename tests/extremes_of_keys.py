@@ -40,6 +40,13 @@ BESIDE: dict[str, Mapping[str, Any]] = {
     "cleaning.sigma_cut": {"cleaning.algorithm": "pca"},
     "cleaning.neighbour_radius": {"cleaning.algorithm": "local"},
     "cleaning.order": {"cleaning.algorithm": "polynomial", "cleaning.regions": 1},
+    "cleaning.pca_modes": {"cleaning.algorithm": "pca", "cleaning.pca_criterion": "modes"},
+    "cleaning.pca_variance": {"cleaning.algorithm": "pca", "cleaning.pca_criterion": "variance"},
+    "cleaning.pca_criterion": {"cleaning.algorithm": "pca", "cleaning.sigma_cut": 3.0, "cleaning.pca_modes": 1}
+    | {"cleaning.pca_variance": 0.5},
+    "cleaning.highpass_frequency": {"cleaning.algorithm": ["highpass", "average"]},
+    "cleaning.highpass_order": {"cleaning.algorithm": ["highpass", "average"], "cleaning.highpass_frequency": "0.1 Hz"},
+    "cleaning.time_order": {"cleaning.algorithm": ["time_polynomial", "average"]},
     "cleaning.regions": {"cleaning.algorithm": "polynomial", "cleaning.order": 1},
     "photon.bose_fraction": {"photon.coherence": "hbt"},
     "sky.curved_lmax": {"sky.cmb_band_power": "1000 uK2"},

@@ -348,7 +348,7 @@ def gls_map(scans, n_pixel):
     return np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ right
 
 
-def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, loose, share, own, lost):
+def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, loose, share, own, lost, filtered):
     """Sum over the streams' frequencies of what an apodization lets through, with w looked up between its steps."""
 
     def w(frequency_hz):
@@ -358,7 +358,7 @@ def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, loos
     for k in range(len(at)):
         row = strength[k] if len(strength) > 1 else strength[0]
         for a in range(len(frequency)):
-            value = w(at[k] - frequency[a]) - mean[a] * w(at[k])
+            value = w(at[k] - frequency[a]) - mean[a] * w(at[k]) - (filtered[k, a] if filtered.size else 0.0)
             averaged = 2 * loose[a] * mean[a] * w(at[k] - frequency[a]) * w(at[k])
             total[:, k] += averaged * row[a] * power[:, a]
             total[:, k] += (1 - sum(share)) * value**2 * row[a] * power[:, a]
@@ -593,3 +593,54 @@ def add_pulses(data, per_scan, detector, scan, start, amplitude, decay):
         for n in range(max(0, first), per_scan):
             total[d, s * per_scan + n] += size * decay ** (n - first)
     return total
+
+
+def mode_response(taper, pixel, edges, sky_shape, cells=1):
+    """Mean PSD of the map's modes in each bin per power of each mode of the sky, (n_bin, N_y, N_x): wave by wave."""
+    n_y, n_x = taper.shape
+    k_map = [2 * np.pi * np.fft.fftfreq(n, pixel) for n in taper.shape]
+    k_sky = [2 * np.pi * np.fft.fftfreq(n, pixel / cells) for n in sky_shape]
+    area = np.prod(sky_shape) * (pixel / cells) ** 2
+    response, count = np.zeros((len(edges) - 1, *sky_shape)), np.zeros(len(edges) - 1)
+    for k_y in k_map[0]:
+        for k_x in k_map[1]:
+            inside = [b for b in range(len(count)) if edges[b] <= np.hypot(k_y, k_x) < edges[b + 1]]
+            if not inside:
+                continue
+            wave_y = np.exp(-1j * np.subtract.outer(k_y - k_sky[0], np.zeros(n_y)) * np.arange(n_y) * pixel)
+            wave_x = np.exp(-1j * np.subtract.outer(k_x - k_sky[1], np.zeros(n_x)) * np.arange(n_x) * pixel)
+            response[inside[0]] += np.abs(wave_y @ taper @ wave_x.T) ** 2 * pixel**2 / (area * np.sum(taper**2))
+            count[inside[0]] += 1
+    return response / count[:, None, None]
+
+
+def cross_band_powers(maps, taper, pixel, edges, window, sky_shape):
+    """Band powers of the sky: mean cross-power of pairs, binned, over a dense coupling matrix."""
+    k = [2 * np.pi * np.fft.fftfreq(n, pixel) for n in sky_shape]
+    ell = np.hypot(k[0][:, None], k[1])
+    power = window(k[0][:, None], k[1]) * np.where(ell > 0, 2 * np.pi / np.maximum(ell * (ell + 1), 1e-9), 0)
+    of_mode = mode_response(taper, pixel, edges, sky_shape) * power
+    n_bin = len(edges) - 1
+    place = np.array([[min(max(sum(edge <= at for edge in edges) - 1, 0), n_bin - 1) for at in row] for row in ell])
+    matrix = np.array([[row[place == b].sum() for b in range(n_bin)] for row in of_mode])
+    modes = [np.fft.fft2(item * taper) for item in maps]
+    pairs = [(a * b.conj()).real for i, a in enumerate(modes) for b in modes[:i]]
+    cross = np.mean(pairs, axis=0) * pixel**2 / np.sum(taper**2)
+    k = [2 * np.pi * np.fft.fftfreq(n, pixel) for n in taper.shape]
+    ell = np.hypot(k[0][:, None], k[1])
+    binned = [cross[(ell >= low) & (ell < high)].mean() for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    return np.linalg.solve(matrix, binned)
+
+
+def coupling_on_sphere(spectrum, top):
+    """Sum over 3-j symbols (top, top): coupling matrix of a taper of this power spectrum, without its 2 l' + 1."""
+    from ducc0.misc import wigner3j_int
+
+    matrix = np.zeros((top, top))
+    for l1 in range(top):
+        for l2 in range(top):
+            first, symbols = wigner3j_int(l1, l2, 0, 0)
+            for l3, symbol in enumerate(symbols, first):
+                if l3 < len(spectrum):
+                    matrix[l1, l2] += (2 * l3 + 1) / (4 * np.pi) * spectrum[l3] * symbol**2
+    return matrix

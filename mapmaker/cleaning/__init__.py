@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from mapmaker.cleaning.local import LocalOptions, subtract_local
-from mapmaker.cleaning.pca import PcaOptions, min_eigenvalues, subtract_pca
+from mapmaker.cleaning.pca import PcaOptions, needed_eigenvalues, subtract_pca
 from mapmaker.cleaning.polynomial import PolynomialOptions, exponents, subtract_polynomial
 from mapmaker.cleaning.scans import Cleaned, live_detectors
 from mapmaker.cleaning.spectral import SpectralOptions, subtract_spectral
@@ -23,6 +23,13 @@ from mapmaker.cleaning.templates import (
     subtract_planar,
     subtract_quadratic,
 )
+from mapmaker.cleaning.time_filters import (
+    HighpassOptions,
+    NotchOptions,
+    TimePolynomialOptions,
+    subtract_low_frequencies,
+    subtract_time_modes,
+)
 from mapmaker.cleaning.wind import WindOptions, slowness, subtract_wind
 
 if TYPE_CHECKING:
@@ -31,14 +38,18 @@ if TYPE_CHECKING:
 __all__ = [
     "ALGORITHMS",
     "TEMPLATE_CLEANINGS",
+    "TIME_FILTERS",
     "Cleaned",
     "Cleaner",
     "CleaningAlgorithm",
+    "HighpassOptions",
     "LocalOptions",
+    "NotchOptions",
     "PcaOptions",
     "PolynomialOptions",
     "SpectralOptions",
     "TemplateOptions",
+    "TimePolynomialOptions",
     "WindOptions",
     "clean",
     "clean_in_order",
@@ -98,10 +109,14 @@ ALGORITHMS: dict[str, CleaningAlgorithm] = {
     "quadratic": CleaningAlgorithm(subtract_quadratic, TemplateOptions, _more_than(len(QUADRATIC)), True),
     "polynomial": CleaningAlgorithm(subtract_polynomial, PolynomialOptions, _polynomial_needs, True),
     "wind": CleaningAlgorithm(subtract_wind, WindOptions, _more_than(len(AVERAGE)), True),
-    "pca": CleaningAlgorithm(subtract_pca, PcaOptions, lambda options: min_eigenvalues(options.sigma_cut)),
+    "pca": CleaningAlgorithm(subtract_pca, PcaOptions, needed_eigenvalues),
     "local": CleaningAlgorithm(subtract_local, LocalOptions, _more_than(1)),
     "spectral": CleaningAlgorithm(subtract_spectral, SpectralOptions, _more_than(0)),
+    "highpass": CleaningAlgorithm(subtract_low_frequencies, HighpassOptions, _more_than(0)),
+    "notch": CleaningAlgorithm(subtract_time_modes, NotchOptions, _more_than(0)),
+    "time_polynomial": CleaningAlgorithm(subtract_time_modes, TimePolynomialOptions, _more_than(0)),
 }
+TIME_FILTERS = ("highpass", "notch", "time_polynomial")
 TEMPLATE_CLEANINGS = tuple(name for name, item in ALGORITHMS.items() if item.takes_responsivities)
 
 
@@ -115,7 +130,8 @@ def clean(name: str, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: 
     """Clean one observation with an algorithm; the input is unchanged.
 
     A scan is discarded (`kept` is False and its samples are 0) for a value that is not finite, a dead detector, or an
-    iteration that does not converge. With "none", dead detectors are not checked; `live_detectors` finds them. Scans
+    iteration that does not converge. "none" and filters in time do not check for dead detectors; `live_detectors` finds
+    them. Scans
     that share one fit of responsivities are all discarded if it does not converge; scans that are not finite or have a
     dead detector are excluded from the fit. Source: Sayers et al. (2010), section on atmospheric noise removal.
 

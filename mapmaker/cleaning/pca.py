@@ -1,8 +1,15 @@
-"""Cleaning by adaptive principal component analysis (Sayers et al. 2010, section of that name).
+"""Cleaning by principal component analysis (Sayers et al. 2010, "Adaptive Principal Component Analysis").
 
-The eigenvectors of each scan's covariance whose log-eigenvalues are outliers are projected out. Eigenvalues that are
-zero except for rounding, because of fewer samples than detectors or of an earlier cleaning, are not counted in the
-distribution.
+The leading eigenvectors of each scan's covariance are projected out. Their number follows from a criterion:
+
+- "sigma_cut": log-eigenvalues that are outliers, as in the paper.
+- "modes": a fixed number.
+- "variance": the fewest that hold a share of the variance of all.
+- "marchenko_pastur": eigenvalues above those of white noise. With n samples of p detectors of variance v they reach up
+  to v (1 + sqrt(p / n))^2 (Marchenko & Pastur 1967); v is the mean of the eigenvalues that remain.
+
+Eigenvalues that are zero except for rounding, because of fewer samples than detectors or of an earlier cleaning, are
+not counted in the distribution.
 
 A matrix of at most `MOST_DENSE` detectors (or samples, if fewer) has all its eigenvectors computed. A larger one is
 reduced to tridiagonal form, which gives all eigenvalues, and only the eigenvectors that are projected out.
@@ -20,7 +27,7 @@ from threadpoolctl import threadpool_limits
 
 from mapmaker.cleaning.scans import Cleaned, Fit, checks_streams, clean_scans, has_dead
 from mapmaker.errors import InsufficientDataError
-from mapmaker.validation import number
+from mapmaker.validation import argument_error, number, whole
 
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
@@ -39,21 +46,51 @@ _MOST_SIGMA = 1e6  # larger cuts need more detectors than any camera has
 _ROUNDING = 1e-9
 
 
+SIGMA_CUT, MODES, VARIANCE, MARCHENKO_PASTUR = "sigma_cut", "modes", "variance", "marchenko_pastur"
+CRITERIA = (SIGMA_CUT, MODES, VARIANCE, MARCHENKO_PASTUR)
+
+
 @dataclass(frozen=True)
 class PcaOptions:
-    """Options of PCA cleaning.
+    """Options of PCA cleaning: a criterion of the modes to remove, and the number that it needs.
 
     Attributes
     ----------
     sigma_cut
         Standard deviations of log(eigenvalue) above the mean from which on an eigenvalue is an outlier; 3 in the paper.
+    criterion
+        One of `CRITERIA`.
+    modes
+        Number of modes.
+    variance
+        Least share of the variance of all detectors that the removed modes hold.
     """
 
-    sigma_cut: float
+    sigma_cut: float | None = None
+    criterion: str = SIGMA_CUT
+    modes: int | None = None
+    variance: float | None = None
 
     def __post_init__(self) -> None:
-        """Raise ValueError for a value out of range."""
-        number("sigma_cut", self.sigma_cut, above=0, most=_MOST_SIGMA)
+        """Raise ValueError for a value out of range, a missing one, and one of another criterion."""
+        if not isinstance(self.criterion, str) or self.criterion not in CRITERIA:
+            raise argument_error("criterion", repr(self.criterion), f"one of {', '.join(map(repr, CRITERIA))} is")
+        for name in (SIGMA_CUT, MODES, VARIANCE):
+            if name != self.criterion and getattr(self, name) is not None:
+                raise argument_error(name, f"a value with criterion {self.criterion!r}", "None is")
+        if self.criterion == SIGMA_CUT:
+            number("sigma_cut", self.sigma_cut, above=0, most=_MOST_SIGMA)
+        elif self.criterion == MODES:
+            whole("modes", self.modes, least=1)
+        elif self.criterion == VARIANCE:
+            number("variance", self.variance, above=0, below=1)
+
+
+def needed_eigenvalues(options: PcaOptions) -> int:
+    """Least number of eigenvalues of a scan for a criterion: one mode can stand out, and one remains."""
+    if options.sigma_cut is not None:
+        return min_eigenvalues(options.sigma_cut)
+    return 2 if options.modes is None else options.modes + 1
 
 
 def min_eigenvalues(sigma_cut: float) -> int:
@@ -70,7 +107,7 @@ def subtract_pca(data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: Foca
     """Remove the mean and the outlier modes; arguments, result and errors as for `clean`.
 
     `removed` is the number of modes; responsivities are 1, without iterations. In a scan of few samples there may be
-    too few eigenvalues for an outlier; it loses its mean alone. A scan with enough samples but too few eigenvalues
+    too few eigenvalues for the criterion; it loses its mean alone. A scan with enough samples but too few eigenvalues
     above rounding is discarded: the atmosphere exceeds the noise by some 10^7, or earlier cleaning removed the others.
     Source: Sayers et al. (2010), "Adaptive Principal Component Analysis (PCA)".
 
@@ -79,12 +116,11 @@ def subtract_pca(data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: Foca
     ValueError
         For too few detectors.
     """
-    needed = min_eigenvalues(options.sigma_cut)
+    needed = needed_eigenvalues(options)
     if len(data_mk) < needed:
-        raise InsufficientDataError(
-            f"a cut at {options.sigma_cut} sigma needs at least {needed} detectors, got {len(data_mk)}"
-        )
-    return clean_scans(data_mk, scan_bounds, lambda block, scan: _project(block, options.sigma_cut))
+        asked = f"a cut at {options.sigma_cut} sigma" if options.sigma_cut is not None else "PCA"
+        raise InsufficientDataError(f"{asked} needs at least {needed} detectors, got {len(data_mk)}")
+    return clean_scans(data_mk, scan_bounds, lambda block, scan: _project(block, options))
 
 
 def count_outliers(eigenvalues: np.ndarray, sigma_cut: float) -> int:
@@ -101,8 +137,43 @@ def count_outliers(eigenvalues: np.ndarray, sigma_cut: float) -> int:
     return len(logarithm) - n_left
 
 
-def _project(block: np.ndarray, sigma_cut: float) -> Fit:
-    """Project the outlier modes out of one mean-removed scan, in place."""
+def count_modes(eigenvalues: np.ndarray, options: PcaOptions, *, n_det: int, n_samp: int) -> int:
+    """Count the modes that a criterion removes.
+
+    Parameters
+    ----------
+    eigenvalues : (n,)
+        Positive eigenvalues of the Gram matrix of mean-removed streams, in rising order.
+    options
+    n_det
+        Dimensions that the streams span, or would with more samples.
+    n_samp
+        Independent samples: one fewer than the scan has, for its mean.
+    """
+    if options.sigma_cut is not None:
+        return count_outliers(eigenvalues, options.sigma_cut)
+    if options.modes is not None:
+        return options.modes
+    falling = eigenvalues[::-1]
+    if options.variance is not None:
+        held = np.cumsum(falling) / falling.sum()
+        return min(1 + int(np.searchsorted(held, options.variance * (1 - 1e-12))), len(falling) - 1)
+    return _count_above_white(falling, n_det, n_samp)
+
+
+def _count_above_white(falling: np.ndarray, n_det: int, n_samp: int) -> int:
+    """Count the eigenvalues above those of white noise with the mean of the others; one at least remains."""
+    left = np.cumsum(falling[::-1])[::-1]  # sum from each eigenvalue on
+    for k in range(len(falling) - 1):
+        size = n_det - k
+        # Each mode takes a dimension of the samples too.
+        if falling[k] <= left[k] / size * (1 + np.sqrt(size / (n_samp - k))) ** 2:
+            return k
+    return len(falling) - 1
+
+
+def _project(block: np.ndarray, options: PcaOptions) -> Fit:
+    """Project the modes of a criterion out of one mean-removed scan, in place."""
     if has_dead(block):
         return Fit(None)
     n_det, n_samp = block.shape
@@ -112,9 +183,11 @@ def _project(block: np.ndarray, sigma_cut: float) -> Fit:
     )
     most = min(n_det, n_samp - 1)
     rank = int(np.sum(eigenvalues[len(eigenvalues) - most :] > _ZERO * np.square(block).sum(axis=1).max()))
-    if rank < min_eigenvalues(sigma_cut) <= most:
+    needed = needed_eigenvalues(options)
+    if rank < needed <= most:
         return Fit(None)
-    n_modes = count_outliers(eigenvalues[len(eigenvalues) - rank :], sigma_cut)
+    spanned = {"n_det": n_det - (most - rank), "n_samp": n_samp - 1}
+    n_modes = count_modes(eigenvalues[len(eigenvalues) - rank :], options, **spanned) if needed <= most else 0
     _remove(block, leading(n_modes), across)
     return Fit(np.ones(n_det), 0, n_modes)
 

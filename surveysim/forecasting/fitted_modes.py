@@ -16,6 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surveysim.forecasting.time_filters import LinearFilter
+
+_MOST_DEGREES = 40  # with filters before the templates
 _DEGREES = 8  # Legendre polynomials: a Kolmogorov layer has 1e-3 of its power in higher degrees
 _SMALLEST = 1e-100  # argument of Bessel functions
 _LEAST_SHARE = 0.03  # modes that fewer scans lose are omitted, some 5 % in all
@@ -79,7 +82,9 @@ def _bessel(most: int, x: np.ndarray) -> np.ndarray:
     return found[1:]
 
 
-def template_modes(frequency_hz: np.ndarray, power: np.ndarray, duration_s: float) -> FittedModes:
+def template_modes(
+    frequency_hz: np.ndarray, power: np.ndarray, duration_s: float, before: LinearFilter | None = None
+) -> FittedModes:
     """Find the modes in time of templates with a given spectrum.
 
     Parameters
@@ -88,24 +93,40 @@ def template_modes(frequency_hz: np.ndarray, power: np.ndarray, duration_s: floa
         Frequencies of the waves that a template is composed of, and their power.
     duration_s
         Length of a scan, whose mean is removed.
+    before
+        Filters in time that the templates have passed; None without any.
 
     Returns
     -------
     FittedModes
         Modes that more than 3 % of the scans lose.
     """
-    along = _wave_components(frequency_hz, duration_s, _DEGREES)
+    n_degree = _DEGREES if before is None else min(_DEGREES + 2 * before.left.shape[1], _MOST_DEGREES)
+    along = _wave_components(frequency_hz, duration_s, n_degree)
     covariance = along.T @ (power[:, None] * along)
+    if before is not None:
+        passed = _legendre_operator(before, n_degree)
+        covariance = passed @ covariance @ passed.T
     values, fitted_modes = np.zeros(0), []
     for first in (0, 1):  # odd and even degrees do not mix
         found, vectors = np.linalg.eigh(covariance[first::2, first::2])
         values = np.concatenate([values, found])
-        whole = np.zeros((len(found), _DEGREES))
+        whole = np.zeros((len(found), n_degree))
         whole[:, first::2] = vectors.T
         fitted_modes.append(whole)
     share = expected_mode_shares(np.maximum(values, 0.0))
     kept = share > _LEAST_SHARE
     return FittedModes(share[kept], np.vstack(fitted_modes)[kept])
+
+
+def _legendre_operator(of: LinearFilter, n_degree: int) -> np.ndarray:
+    """Matrix (n_degree, n_degree) of a filter in Legendre polynomials from degree 1 on."""
+    n_samp = len(of.left)
+    place = (2 * np.arange(n_samp) + 1) / n_samp - 1
+    basis = np.linalg.qr(np.polynomial.legendre.legvander(place, n_degree))
+    # Signs as those of the polynomials.
+    vectors = basis[0][:, 1:] * np.sign(np.diag(basis[1]))[1:]
+    return vectors.T @ of.apply(vectors)
 
 
 def expected_mode_shares(variance: np.ndarray) -> np.ndarray:

@@ -26,8 +26,8 @@ def dot(x, y):
 
 
 @njit(cache=True, nogil=True)
-def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, loose, share, own, lost):
-    """Sum the leakage E[(w(f_k - f_a) - m_a w(f_k) - l_aj o_kj)^2] strength_ka power_pa over a.
+def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, loose, share, own, lost, filtered):
+    """Sum the leakage E[(w(f_k - f_a) - m_a w(f_k) - r_ka - l_aj o_kj)^2] strength_ka power_pa over a.
 
     The expectation takes the fitted mode j with the probability share_j, or none, and the product of the first two
     terms less the part n_a.
@@ -52,6 +52,8 @@ def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, loos
         Components o of the map modes along the fitted modes.
     lost : (n, n_a)
         Components l of the waves along the fitted modes.
+    filtered : (n_k, n_a), or (0, 0) without filters
+        Amplitudes r that filters in time remove.
 
     Returns
     -------
@@ -68,6 +70,8 @@ def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, loos
             lost_mean = mean[a] * middle[0]
             averaged = 2 * loose[a] * lost_mean * value[a]
             value[a] -= lost_mean
+            if filtered.size:
+                value[a] -= filtered[k, a]
             passed[a] = value[a] * value[a] + averaged
         for j in range(share.size):
             weight, lose = share[j], own[k, j]

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,7 @@ from surveysim.forecasting.mode_response import (
 from surveysim.forecasting.observing_conditions import Correlation, NoiseCorrelations, ObservingConditions
 from surveysim.forecasting.response_filters import Origin, StreamFilters
 from surveysim.forecasting.scan_apodization import ScanApodization, frequency_nodes, hann_apodization, scan_apodization
+from surveysim.forecasting.time_filters import ScanFilters
 from surveysim.scene.analysis import Score
 from surveysim.scene.scene import Scene
 from surveysim.telescope.lattice_noise import GroupCorrelation, NoiseCorrelation
@@ -55,9 +56,22 @@ class ScanFrequencies:
         """Sum of the leakage of noise of a PSD (n,) at the nodes into each mode."""
         return self.apodization.sums((self.weight_hz * power)[None], self.nodes_hz, self.at_hz)
 
+    @cached_property
+    def unfiltered_white(self) -> np.ndarray:
+        """Sum of the leakage of white noise that no filter in time has changed."""
+        apodization = replace(self.apodization, filters=None)
+        return apodization.sums(self.weight_hz[None], self.nodes_hz, self.at_hz)
+
 
 def scan_frequencies(
-    scans: Scans, score: Score, ell: np.ndarray, *, speed_rad_s: float, straight: bool, fitted_modes: FittedModes
+    scans: Scans,
+    score: Score,
+    ell: np.ndarray,
+    *,
+    speed_rad_s: float,
+    straight: bool,
+    fitted_modes: FittedModes,
+    time_filters: ScanFilters | None,
 ) -> ScanFrequencies:
     """Frequencies at which scans at some speed see the modes of bins around `ell` (n_bin,)."""
     rate = scans.sample_rate_hz
@@ -70,6 +84,7 @@ def scan_frequencies(
         size_rad=score.size_rad,
         taper_fraction=score.taper_fraction,
         fitted_modes=fitted_modes,
+        filters=time_filters,
         centred=straight,
     )
     nodes, weight = frequency_nodes(apodization, max(1.1 * np.abs(at_hz).max(), 0.5 * rate))
@@ -209,6 +224,9 @@ class MapBins(NoiseBins):
             leakage = self.frequencies.filtered_white(power)
             # Across the scan pixels alias noise of the same frequency, along it of all others.
             scattering = (leakage + scattering * np.average(power, weights=weight)) / 2
+        if (filters := self.frequencies.apodization.filters) is not None:
+            kept = self.frequencies.unfiltered_white * filters.of.total.kept_power
+            scattering = (scattering + kept) / 2
         return self._at_output(leakage, scattering, correlation)
 
     def readout(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
@@ -313,13 +331,15 @@ def noise_only_bins(of: MapBins, name: str, white_above_hz: float) -> NoiseOnlyB
         to_modes = rate * (through[:, : len(lines)] + through[:, len(lines) :])
     else:
         high = lines > white_above_hz
-        to_modes = rate * np.outer(spectrum.white, high / high.sum())
+        white = spectrum.white if apodization.filters is None else spectrum.unfiltered_white
+        to_modes = rate * np.outer(white, high / high.sum())
 
     def in_bins(psd: np.ndarray) -> np.ndarray:
         """Bins of a two-sided PSD (n_line,) of the streams."""
         return spectrum.modes.mean(to_modes @ psd)
 
-    hann = hann_apodization(seconds, apodization.fitted_modes)
+    filters = None if apodization.filters is None else apodization.filters.of
+    hann = hann_apodization(seconds, apodization.fitted_modes, filters)
     return NoiseOnlyBins(
         scene=of.scene,
         layers=of.layers,

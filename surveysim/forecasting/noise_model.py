@@ -38,6 +38,7 @@ from surveysim.forecasting.observing_conditions import (
     white_shapes,
 )
 from surveysim.forecasting.response_filters import gain_variance, stream_filters
+from surveysim.forecasting.time_filters import pipeline_filters
 from surveysim.forecasting.track_motions import track_motions
 from surveysim.forecasting.turned_modes import turned_power
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
@@ -123,7 +124,8 @@ def _map_bins(
 ) -> list[MapBins]:
     """Set up the bins of a pipeline's map at each speed of the track."""
     ell, arrays = setup.analysis.region.rings.ell, _arrays(setup, pipeline, conditions)
-    fitted = removed_modes(setup, pipeline, arrays[0], conditions)
+    filters = pipeline_filters(setup, pipeline)
+    fitted = removed_modes(setup, pipeline, arrays[0], conditions, filters)
     wave = ring_modes(ell).wave.ravel()
     alike: dict[str, Any] = {
         "scene": setup.scene,
@@ -141,7 +143,9 @@ def _map_bins(
     }
     tracks, of_scans = track_motions(setup), (setup.observing.scans, setup.scene.score, ell)
     frequencies = [
-        scan_frequencies(*of_scans, speed_rad_s=speed, straight=tracks.straight, fitted_modes=fitted)
+        scan_frequencies(
+            *of_scans, speed_rad_s=speed, straight=tracks.straight, fitted_modes=fitted, time_filters=filters
+        )
         for speed in tracks.speed_rad_s.tolist()
     ]
     return [MapBins(node=node, frequencies=item, **alike) for node, item in enumerate(frequencies)]
@@ -163,8 +167,8 @@ def _track_mean(parts: list[Noise]) -> Noise:
 
 
 def is_projection(pipeline: CleaningPipeline) -> bool:
-    """Tell whether a pipeline is (nearly) a projection that does not depend on the data."""
-    return len(pipeline.steps) == 1 and pipeline.steps[0] in PROJECTIONS
+    """Tell whether a pipeline is (nearly) a projection that does not depend on the data, besides filters in time."""
+    return pipeline.spatial_step in PROJECTIONS
 
 
 def _arrays(setup: Setup, pipeline: CleaningPipeline, conditions: ObservingConditions) -> list[ProjectedArray]:
@@ -178,7 +182,7 @@ def _arrays(setup: Setup, pipeline: CleaningPipeline, conditions: ObservingCondi
         assumed = calibration[0, pipeline.rows]
     gains = {"responsivity": responsivity, "assumed": assumed, "weight": setup.analysis.weight_of(pipeline.rows)}
     try:
-        return [projected_array(plane, angle, algorithm=pipeline.steps[0], **gains) for angle in np.unique(chosen)]
+        return [projected_array(plane, angle, algorithm=pipeline.spatial_step, **gains) for angle in np.unique(chosen)]
     except InsufficientDataError as error:
         raise NotForecastableError(f"cleaning: {error}") from None
 

@@ -18,6 +18,7 @@ from surveysim.atmosphere.layers import Layer
 from surveysim.atmosphere.weather import Water, Weather, draw_weather, slant_b2
 from surveysim.forecasting.fitted_modes import NO_FITTED_MODES, FittedModes, template_modes
 from surveysim.forecasting.mode_response import ProjectedArray, layer_waves
+from surveysim.forecasting.time_filters import ScanFilters
 from surveysim.forecasting.track_motions import track_motions
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.setup import Setup
@@ -352,11 +353,15 @@ def _correlations(
 
 
 def removed_modes(
-    setup: Setup, pipeline: CleaningPipeline, array: ProjectedArray, levels: ObservingConditions
+    setup: Setup,
+    pipeline: CleaningPipeline,
+    array: ProjectedArray,
+    levels: ObservingConditions,
+    filters: ScanFilters | None = None,
 ) -> FittedModes:
     """Find the modes in time that the responsivity fits of a pipeline remove from scans.
 
-    They are those of layers that move at the median speeds of `levels`.
+    They are those of layers that move at the median speeds of `levels`, after the filters before the templates.
     """
     scans = setup.observing.scans
     fits = {"scan": 1.0, "observation": 1 / scans.n_scans}
@@ -371,4 +376,6 @@ def removed_modes(
         common = array.phases(2 * np.pi * waves.alpha).mean(axis=0)
         frequencies.append((waves.alpha * motion).real)
         powers.append(np.median(amplitude) * waves.power[0] * (common.real**2 + common.imag**2))
-    return template_modes(np.concatenate(frequencies), np.concatenate(powers), seconds).scaled(share)
+    waves_of_all = np.concatenate(frequencies), np.concatenate(powers)
+    before = None if filters is None else filters.before
+    return template_modes(*waves_of_all, seconds, before).scaled(share)

@@ -138,11 +138,11 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
         yield _discarded(inputs.kept)
     if setup.scene.turbulent:
         yield _repeated_layer(setup, inputs)
-        if inputs.pipeline.steps != ("none",):
+        if inputs.pipeline.spatial_step != "none":
             if inputs.tracks.straight:
                 yield _stripes(inputs)
             yield _scattered(setup.analysis.region, inputs)
-        if (name := inputs.pipeline.label) in _APPROXIMATE:
+        if (name := inputs.pipeline.spatial_step) in _APPROXIMATE:
             sentence = (
                 f"Cleaning {_APPROXIMATE[name]} is approximated by average subtraction, with an unknown difference."
             )
@@ -151,7 +151,7 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
         yield _crosstalk(setup, inputs.pipeline)
     if setup.scene.losses:
         yield _lost_samples(setup.scene, inputs)
-    if templates := len(PROJECTIONS[inputs.pipeline.label]):
+    if templates := len(PROJECTIONS[inputs.pipeline.spatial_step]):
         yield _few_detectors(templates, inputs.n_det)
     if not inputs.tracks.straight:
         yield _curvature(setup.analysis.region, inputs)
@@ -190,7 +190,7 @@ def _repeated_layer(setup: Setup, inputs: EffectInputs) -> NeglectedEffect:
     Without cleaning it is the whole layer: the trends of consecutive scans are alike in any wind.
     """
     parts = inputs.layer_share
-    if inputs.pipeline.steps == ("none",):
+    if inputs.pipeline.spatial_step == "none":
         size, where = float(parts.sum()), "Scans share trends of the layer in any wind"
     else:
         travel = inputs.conditions.winds_rad_s * _return_s(setup, inputs.tracks)

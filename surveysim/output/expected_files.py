@@ -23,6 +23,7 @@ from surveysim.survey.checkpoint import NAME as CHECKPOINT
 
 COMMON = ("summary.json", "scene.json", "report.html")
 SCORES = "scores.npz"
+SPECTRA = ("spectra.ecsv", "spectra_windows.ecsv", "spectra.sacc")
 _TABLES = (
     "observations",
     "timestream_psd",
@@ -30,6 +31,8 @@ _TABLES = (
     "metrics",
     "map_psd",
     "alternatives",
+    "split_spectra",
+    "nulls",
     "load",
     "nep",
     "sensitivity",
@@ -42,6 +45,7 @@ _FIGURES = (
     "transfer_function",
     "cumulative_sensitivity",
     "weights",
+    "spectra",
     "weather",
     "run_time",
 )
@@ -67,7 +71,7 @@ def of_point(setup: Setup, keep_all: bool) -> Results:
 
 def _run_names(scene: Scene) -> tuple[str, ...]:
     tables = (*_TABLES, *(metric_table_names(scene.score) if scene.score else ()))
-    return (*COMMON, SCORES, *(f"tables/{name}.ecsv" for name in tables))
+    return (*COMMON, SCORES, *SPECTRA, *(f"tables/{name}.ecsv" for name in tables))
 
 
 def _map_names(setup: Setup) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ _SCENE = rf"scene\.toml|({_TABLES})(_\d+)?(\.[\w-]+)?"
 WRITTEN = re.compile(
     rf"{_SCENE}|"
     r"report\.html|(summary|scene)\.json|checkpoint\.h5|extremes\.ecsv"
-    r"|(sweep|sweep_pairs|forecast|accuracy|bands)\.ecsv|table\d+(_[a-z]+)?\.ecsv|figure\d+\.(png|ecsv)"
+    r"|(sweep|sweep_pairs|forecast|accuracy|bands|spectra|spectra_windows)\.ecsv|spectra\.sacc|table\d+(_[a-z]+)?\.ecsv|figure\d+\.(png|ecsv)"
     r"|explain\.ecsv|second_layer\.(ecsv|png)|observations_\w+\.ecsv"
     r"|(measurements|recovered)_[0-9]+\.ecsv|tables/\w+\.ecsv|maps/\w[\w.+~,=-]*\.fits|figures/\w+\.png"
     r"|timestreams/\d+\.h5|scores\.npz|points/\d+(_\d+)?\.npz|points/\d+\.checkpoint\.h5|evaluations\.jsonl"

@@ -9,6 +9,7 @@ from surveysim.results.metric_tables import metric_file_table
 from surveysim.results.metrics import metric_tables
 from surveysim.results.results import SurveyResult
 from surveysim.results.sensitivity import sensitivity_tables
+from surveysim.results.spectra import split_spectra_table
 from surveysim.results.tables import alternative_table, score_table
 from surveysim.runtime.table import Column, Table, file_column
 from surveysim.survey.coadds import row_names
@@ -30,6 +31,8 @@ def run_tables(result: SurveyResult, summary: dict[str, Any]) -> dict[str, Table
         tables["metrics"] = metric_file_table(summary["metrics"], {"temperature": "CMB"} | _survey_part(result))
         tables |= metric_tables(result.setup, result.scores)
         tables["map_psd"] = spectrum_table(result)
+    if result.spectra:
+        tables["split_spectra"] = split_spectra_table(result.spectra, {"temperature": "CMB"} | _survey_part(result))
     if "sensitivity" in summary:
         tables |= {table.name: table for table in sensitivity_tables(summary["sensitivity"])}
     if result.alternatives:

@@ -12,6 +12,7 @@ from warnings import catch_warnings, simplefilter
 from mapmaker.binning import BinnedMap, write_fits, write_healpix
 from mapmaker.files import atomic_write, write_ecsv
 from surveysim.output.expected_files import SCORES, point_directory
+from surveysim.output.spectra import write_spectra
 from surveysim.output.tables import forecast_spectra, run_tables
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.report.html.page import REPORT, write_report
@@ -75,6 +76,7 @@ def write_outputs(
     tables = run_tables(result, content)
     written += [_write_table(directory / "tables" / f"{name}.ecsv", table) for name, table in tables.items()]
     written += _write_scores(directory / SCORES, result)
+    written += write_spectra(directory, result.spectra) if result.spectra else []
     written += _write_maps(directory / "maps", result) if maps else []
     written += [directory / name for name in timestreams]
     write_summary(directory, content, written, partial(_of_run, result) if figures else None)

@@ -9,6 +9,7 @@ from mapmaker.geometry import MapGeometry
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.data_set import DataSet, data_sets
 from surveysim.reduction.scored_region import ScoredRegion, scored_region
+from surveysim.reduction.splits import SurveySplits
 from surveysim.runtime.once import once
 from surveysim.scene.scene import Scene
 from surveysim.telescope.beams import Beams
@@ -38,6 +39,8 @@ class AnalysisSetup:
         Weight (n_det,) of the samples of each detector in the maps, with a mean of 1; None where all weigh alike.
     beams
         Beams of the detectors, with their weights in the maps.
+    splits
+        Splits of the data into parts with maps of their own; None without any.
     """
 
     scene: Scene
@@ -49,6 +52,7 @@ class AnalysisSetup:
     n_det: int
     weight: np.ndarray | None
     beams: Beams
+    splits: SurveySplits | None = None
 
     @once
     def region(self) -> ScoredRegion | None:

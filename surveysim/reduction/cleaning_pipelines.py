@@ -7,21 +7,27 @@ import numpy as np
 
 from mapmaker.cleaning import (
     TEMPLATE_CLEANINGS,
+    TIME_FILTERS,
     Cleaned,
+    HighpassOptions,
     LocalOptions,
+    NotchOptions,
     PcaOptions,
     PolynomialOptions,
     SpectralOptions,
     TemplateOptions,
+    TimePolynomialOptions,
     WindOptions,
     clean_in_order,
     detectors_needed,
 )
 from mapmaker.cleaning.responsivity import SCAN, Responsivities
+from mapmaker.cleaning.time_filters import TimeFilterOptions
 from mapmaker.timestreams import FocalPlane
-from surveysim.scene.analysis import Cleaning
+from surveysim.scene.analysis import PCA_KEYS, Cleaning
 
 ACTUAL, OPTIMAL = "actual", "optimal"
+_ANY_RATE_HZ = 1e10  # sample rate above the frequencies of all filters
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,12 @@ class CleaningPipeline:
     def label(self) -> str:
         """Names of the steps, joined."""
         return "+".join(self.steps)
+
+    @property
+    def spatial_step(self) -> str | None:
+        """Name of the one step that is no filter in time, "none" without any; None for several."""
+        found = [name for name in self.steps if name not in ("none", *TIME_FILTERS)]
+        return "none" if not found else found[0] if len(found) == 1 else None
 
     def uses(self, name: str) -> bool:
         """Tell whether a step is the named algorithm."""
@@ -94,12 +106,14 @@ def step_options(
 ) -> Any:
     """Make the record of options of one step."""
     template = (section.tolerance, section.max_iterations, responsivities, first_guess)
+    if name in TIME_FILTERS:
+        return filter_options(section, name, sample_rate_hz)
     if name == "wind":
         return WindOptions(auxiliary.delays_s_rad, sample_rate_hz, *template)
     if name == "spectral":
         return SpectralOptions(auxiliary.other_bands_mk)
     if name == "pca":
-        return PcaOptions(section.sigma_cut)
+        return _pca_options(section)
     if name == "local":
         return LocalOptions(section.neighbour_radius)
     if name == "polynomial":
@@ -107,10 +121,25 @@ def step_options(
     return TemplateOptions(*template)
 
 
+def filter_options(section: Cleaning, name: str, sample_rate_hz: float) -> TimeFilterOptions:
+    """Make the record of options of a filter in time."""
+    if name == "highpass":
+        return HighpassOptions(section.highpass_frequency_hz, sample_rate_hz, section.highpass_order)
+    if name == "notch":
+        return NotchOptions(section.notch_frequencies_hz, section.notch_widths_hz, sample_rate_hz)
+    return TimePolynomialOptions(section.time_order)
+
+
+def _pca_options(section: Cleaning) -> PcaOptions:
+    criterion = section.pca_criterion
+    key = PCA_KEYS.get(criterion)
+    return PcaOptions(criterion=criterion, **({} if key is None else {criterion: getattr(section, key)}))
+
+
 def needed_detectors(section: Cleaning, name: str) -> int:
     """Count the detectors that one step needs."""
     nothing = AuxiliaryData(np.zeros((1, 2)), np.zeros((1, 1, 1)))
-    return detectors_needed(name, step_options(section, name, nothing, 1.0, responsivities=SCAN))
+    return detectors_needed(name, step_options(section, name, nothing, _ANY_RATE_HZ, responsivities=SCAN))
 
 
 def apply_pipeline(

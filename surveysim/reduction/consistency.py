@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from mapmaker.bandpower import flat_spectrum_psd
-from mapmaker.cleaning import TEMPLATE_CLEANINGS
+from mapmaker.cleaning import TEMPLATE_CLEANINGS, TIME_FILTERS
 from mapmaker.cleaning.responsivity import OBSERVATION, SCAN
 from mapmaker.geometry import MapGeometry, check_nside
 from mapmaker.stream_psd import highest_frequency
@@ -16,6 +16,7 @@ from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES, MIN_SCANS
 from surveysim.atmosphere.water import wettest_mm
 from surveysim.atmosphere.weather import Water
 from surveysim.reduction.cleaning_pipelines import needed_detectors
+from surveysim.reduction.filter_checks import check_time_filters
 from surveysim.reduction.scored_region import FAINTEST, padded_side
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.numbers import plural
@@ -56,6 +57,7 @@ def check_templates(scene: Scene, cam: Camera, scans: Scans) -> None:
             )
         if "wind" in steps:
             _check_wind(scene, key, scans)
+    check_time_filters(scene, samples_per_scan(scans))
 
 
 def _check_wind(scene: Scene, key: str, scans: Scans) -> None:
@@ -82,7 +84,7 @@ def _check_wind(scene: Scene, key: str, scans: Scans) -> None:
 def _check_fits(scene: Scene, key: str, steps: tuple[str, ...]) -> None:
     """Raise SceneError for a cleaning without a layer, on which a fit calibrates the detectors."""
     found = repr(steps[0]) if len(steps) == 1 else list(steps)
-    if scene.turbulent or steps == ("none",):
+    if scene.turbulent or {*steps} <= {"none", *TIME_FILTERS}:
         return
     if scene.atmosphere is None:
         raise SceneError(f"cleaning.{key}: found {found} without [atmosphere]; 'none' is expected")

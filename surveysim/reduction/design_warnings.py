@@ -10,6 +10,7 @@ import numpy as np
 
 from mapmaker.uncertainty import FEWEST, draws
 from surveysim.atmosphere.weather import survey_pwv_quantile
+from surveysim.reduction.filter_checks import filtered_share
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.numbers import plural
 from surveysim.scene.detector_table import KEY
@@ -17,14 +18,18 @@ from surveysim.telescope.optics import scene_chain
 from surveysim.telescope.patterns.figures import Figure, covered_width
 from surveysim.telescope.patterns.raster import Raster
 from surveysim.telescope.patterns.track import Track, longest_gap
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.expected_losses import sampled_share
 from surveysim.timestreams.fixed_sky import sky_notes
 from surveysim.timestreams.observed_block import observation_levels
-from surveysim.timestreams.simulation import camera_white
+from surveysim.timestreams.simulation import boresight_path, camera_white, observation_path
 
 MOST_APART = 0.02  # of two conversions to CMB temperature
 MOST_LOST = 0.2  # of the samples
+MOST_FILTERED = 0.01  # of the white noise
 LONG_GAP = 10  # in a track, in typical steps
+FIRST = 4  # observations that tell the reach of a pattern
+MOST_TURNED_RAD = math.radians(10)
 
 
 def design_warnings(setup: Setup) -> list[str]:
@@ -94,13 +99,38 @@ def _coverage(setup: Setup) -> str:
         width, covers = covered_width(scans), f"the {setup.observing.pattern.name} covers"
         size = _arcmin(width)
     else:
-        return ""
+        width, covers = _reached_width(setup), "the boresight reaches along an axis"
+        size = _arcmin(width)
     covered = width + 2 * setup.camera.radius_rad + scans.dither_rad
     if score is None or score.size_rad <= covered * (1 + 1e-9):
         return ""
     return (
         f"score.size: the scored patch of {_arcmin(score.size_rad)} is larger than the {_arcmin(covered)} that {covers}"
         f" ({size}, and the array)."
+    )
+
+
+def _reached_width(setup: Setup) -> float:
+    """Shorter side [rad] of the box that the boresight reaches in the first observations, without their dither."""
+    paths = [boresight_path(setup.observing, number) for number in range(min(FIRST, setup.scene.observations))]
+    sides = np.array([[np.ptp(path.xi_rad), np.ptp(path.eta_rad)] for path in paths])
+    return float(sides.max(axis=0).min())
+
+
+def _turning_raster(setup: Setup) -> str:
+    """Warn of straight scans along which the array turns, as near the zenith: their layer has one angle a scan."""
+    if setup.scene.schedule is None or not setup.observing.scans.straight or not setup.air.layers:
+        return ""
+    highest = int(setup.observing.angles.elevation_rad.max(axis=1).argmax())
+    pointing = observation_path(setup.observing, highest)[1]
+    at_centre = pointing.scan_array_angle_rad[np.searchsorted(np.unique(pointing.scan), pointing.scan)]
+    turned = float(np.abs((pointing.array_angle_rad - at_centre + np.pi) % (2 * np.pi) - np.pi).max())
+    if turned <= MOST_TURNED_RAD:
+        return ""
+    return (
+        f"scan.pattern: along the scans of observation {highest} the array turns by {math.degrees(turned):.3g} deg from"
+        " its angle at the field's centre, which is that of the turbulent layer; more than"
+        f" {math.degrees(MOST_TURNED_RAD):.0f} deg change the layer's noise."
     )
 
 
@@ -206,12 +236,27 @@ def _few_blocks(setup: Setup) -> str:
     )
 
 
+def _filtered_white(setup: Setup) -> str:
+    """Warn of filters in time that remove noise from the range in which the white level is measured."""
+    score, scans = setup.scene.score, setup.observing.scans
+    if score is None:
+        return ""
+    share = filtered_share(setup.scene, samples_per_scan(scans), score.white_noise_above_hz)
+    if share <= MOST_FILTERED:
+        return ""
+    return (
+        f"score.white_noise_above: filters of cleaning.algorithm remove {100 * share:.0f} % of the noise above"
+        f" {score.white_noise_above_hz:g} Hz, and the measured white level is lower by as much."
+    )
+
+
 CHECKS: tuple[Callable[[Setup], str], ...] = (
     _sampling,
     _track_gap,
     _diffraction,
     _pixels,
     _coverage,
+    _turning_raster,
     _off_boresight,
     _unused_optics,
     _unused_angle,
@@ -219,4 +264,5 @@ CHECKS: tuple[Callable[[Setup], str], ...] = (
     _conversions,
     _lost_samples,
     _few_blocks,
+    _filtered_white,
 )

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from mapmaker.formats.hdf5 import timestream_file
 from mapmaker.geometry import MapGeometry
 from mapmaker.kernels.pixels import bin_samples
 from mapmaker.stream_psd import hann_power, white_level
-from mapmaker.timestreams import timestream_file
 from surveysim.reduction.cleaned_block import CleanedBlock, reduce_block
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
 from surveysim.reduction.detector_weights import weighted
@@ -25,6 +25,7 @@ from surveysim.reduction.noise_only_sets import add_simulated
 from surveysim.reduction.observation_result import ObservationResult
 from surveysim.reduction.setup import Setup
 from surveysim.reduction.signal_maps import add_signal_maps, empty_signal_maps, scored_signal_maps
+from surveysim.reduction.split_maps import add_split_maps, empty_split_maps, scored_split_maps
 from surveysim.reduction.stream_psds import cleaned_power, cleaned_psd, mean_psd, psd_scale, sampled_scans
 from surveysim.runtime.once import keep_last
 from surveysim.telescope.scans import samples_per_scan
@@ -44,15 +45,17 @@ class _Sums:
 
     `maps` by data set: float64 sums [mK] and int64 hits (n_y n_x,); `exposure` by data set: sums of weights
     (n_y n_x,), if detectors differ in weight; `signal_maps` (n_sky, n_transfer, 2, n_y n_x)
-    float64 or None; `power` (n_det, n_freq) of the kept scans of the actual data (`hann_power`), and their number less
-    the part of lost samples, `sampled` (n_det,); number `flagged` of lost samples. Of each block: `kept`, `iterations`
-    and `removed` (n_pipeline, n_scan), `lost` (n_scan,) scans, and the number of kept scans with their mean PSD
-    (n_freq,) [mK^2/Hz], before cleaning (`raw`) and after the other pipelines (`compared`).
+    float64 or None; `split_maps` (n_part, 2, n_y n_x) float64, sums and exposures, or None; `power` (n_det, n_freq) of
+    the kept scans of the actual data (`hann_power`), and their number less the part of lost samples, `sampled`
+    (n_det,); number `flagged` of lost samples. Of each block: `kept`, `iterations` and `removed` (n_pipeline, n_scan),
+    `lost` (n_scan,) scans, and the number of kept scans with their mean PSD (n_freq,) [mK^2/Hz], before cleaning
+    (`raw`) and after the other pipelines (`compared`).
     """
 
     maps: dict[str, Map]
     exposure: dict[str, np.ndarray]
     signal_maps: np.ndarray | None
+    split_maps: np.ndarray | None
     power: np.ndarray
     sampled: np.ndarray
     flagged: int = 0
@@ -129,6 +132,7 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
         white_mk2_hz=float(white[measured].mean()),
         flagged=sums.flagged / (len(psd) * len(pointing.time_s)),
         seconds=watch.seconds,
+        **scored_split_maps(analysis, setup.stream_type, sums.split_maps),
     )
 
 
@@ -165,7 +169,7 @@ def _empty_sums(setup: Setup, with_signal_sims: bool) -> _Sums:
     if setup.analysis.weight is not None:
         exposure = {name: np.zeros(n_pixel) for name in hits}
         exposure |= {name: exposure[ACTUAL] for name in names if name not in hits}
-    return _Sums(maps, exposure, signals, power, np.zeros(len(power)))
+    return _Sums(maps, exposure, signals, empty_split_maps(setup.analysis), power, np.zeros(len(power)))
 
 
 def _add_part(sums: _Sums, part: CleanedBlock, save: Callable[[CleanedBlock], None], watch: Stopwatch) -> None:
@@ -184,6 +188,9 @@ def _add_part(sums: _Sums, part: CleanedBlock, save: Callable[[CleanedBlock], No
                 alike = np.empty_like(item.data_mk)
                 alike[:] = weight[:, None]
                 bin_samples(alike, index, bounds, item.kept, sums.exposure[pipeline.data_set], None)
+    if sums.split_maps is not None:
+        with watch("splits"):
+            add_split_maps(sums.split_maps, part)
     for name in ("kept", "iterations", "removed"):
         getattr(sums, name).append(np.array([getattr(item, name) for item in part.cleaned]))
     sums.lost.append(part.streams.lost_scans)

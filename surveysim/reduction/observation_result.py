@@ -43,6 +43,9 @@ class ObservationResult:
         Fraction of the samples of all detectors that is lost.
     seconds
         Time spent in each stage.
+    split_sums, split_exposure : (n_part, n, n)
+        As `sums` and `exposure` of the actual data on the scored patch, in each part of the splits within observations;
+        None without any.
     """
 
     observation: int
@@ -64,3 +67,5 @@ class ObservationResult:
     white_mk2_hz: float
     flagged: float = 0.0
     seconds: dict[str, float] = field(default_factory=dict)
+    split_sums: np.ndarray | None = None
+    split_exposure: np.ndarray | None = None

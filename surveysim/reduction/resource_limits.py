@@ -128,8 +128,8 @@ class Sizes:
         Bands that are simulated.
     n_pixel, n_patch, n_pad
         Pixels of the map; pixels along a side of the scored patch and of the padded patch.
-    n_set, n_transfer, n_sky
-        Data sets, transfer functions, simulated skies.
+    n_set, n_transfer, n_sky, n_split
+        Data sets, transfer functions, simulated skies, split maps.
     n_beam
         Different beams.
     strip_elements
@@ -148,6 +148,7 @@ class Sizes:
     n_set: int
     n_transfer: int
     n_sky: int
+    n_split: int
     n_beam: int
     strip_elements: int
     n_coefficients: int
@@ -169,7 +170,8 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     skies = of.n_sky * (8 * 4 * of.n_beam * of.n_pixel + 16 * of.n_transfer * of.n_pixel + 40 * of.n_transfer * patch)
     shared = any(section and section.coherence != "none" for section in (scene.photon, scene.excess))
     pairs = of.n_det**2 if shared and of.n_det <= MOST_DENSE else 0
-    sums = 8.0 * flips * of.n_set * patch + 24.0 * of.n_set * of.n_pixel
+    splits = 16.0 * (1 + (scene.spectra.realizations if scene.spectra else 0)) * of.n_split * patch
+    sums = 8.0 * flips * of.n_set * patch + 24.0 * of.n_set * of.n_pixel + splits
     more_sums = (sums_held(scene.observations, sums) - 1) * sums
     compared = 2 + len(scene.cleaning.compare)
     # Flags, and streams whose gaps are filled, beside the streams.
@@ -185,6 +187,7 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
         "map.pixel": 64.0 * of.n_set * of.n_pixel + (140.0 * of.n_pixel if scene.sky or scene.score else 0),
         "score.signal_sims.skies": float(skies),
         "score.jackknives": 12.0 * flips * of.n_set * patch + more_sums,
+        "spectra.realizations": 2 * splits,
         "score.size": 110.0 * of.n_pad**2,
         "atmosphere.layer_height": 32.0 * of.strip_elements,
         "instrument.layout": (56.0 if stop_emits(scene) else 32.0) * pairs,

@@ -37,6 +37,7 @@ from surveysim.reduction.response_checks import check_response
 from surveysim.reduction.scored_region import padded_side, patch_side
 from surveysim.reduction.signal_sims import carriers
 from surveysim.reduction.sky_checks import check_contents
+from surveysim.reduction.splits import SurveySplits, survey_splits
 from surveysim.runtime.errors import InputError, OutOfRangeError, SceneError
 from surveysim.scene.bands import errors_of
 from surveysim.scene.scene import Scene
@@ -242,6 +243,7 @@ def _prepare(scene: Scene) -> Setup:
             drawn.camera.n_det,
             weight,
             beams_of(drawn.camera, weight),
+            _splits(scene, cam, common),
         ),
         others=others,
     )
@@ -262,6 +264,11 @@ def _others(scene: Scene, common: _Common) -> tuple[Simulation, ...]:
         with errors_of(item, scene):
             found.append(_simulation(item, common))
     return tuple(found)
+
+
+def _splits(scene: Scene, cam: Camera, common: _Common) -> SurveySplits | None:
+    starts = None if common.times is None else common.times.start_mjd
+    return survey_splits(scene, cam.focal_plane, starts, None if common.dated is None else common.dated.block)
 
 
 def _calibration(scene: Scene, bands: tuple[Simulation, ...]) -> np.ndarray | None:
@@ -290,6 +297,7 @@ def _sizes(setup: Setup, strip_elements: int) -> Sizes:
         n_set=len(setup.analysis.data_set_names),
         n_transfer=len(setup.analysis.transfer_function_names),
         n_sky=setup.analysis.n_signal_skies,
+        n_split=setup.analysis.splits.n_map if setup.analysis.splits else 0,
         n_beam=len(setup.camera.beams.fwhm_rad),
         strip_elements=strip_elements,
         n_coefficients=sky_coefficients(scene.sky.curved_lmax, setup.sky.geometry) if curved else 0,

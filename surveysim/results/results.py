@@ -12,6 +12,7 @@ from surveysim.results.alternatives import alternatives
 from surveysim.results.control_variate import quoted_scores
 from surveysim.results.gains import data_set_gains
 from surveysim.results.metrics import MetricResults, survey_metrics
+from surveysim.results.spectra import spectra_warnings
 from surveysim.results.stopping import (
     FINE_ERROR,
     UNLIMITED,
@@ -34,6 +35,7 @@ from surveysim.survey.discarded_scans import Discards, discards
 from surveysim.survey.error_modes import Gain
 from surveysim.survey.scores import DataSetScore, flux_removed
 from surveysim.survey.signal_coverage import signal_coverage_warnings
+from surveysim.survey.split_spectra import SurveySpectra, survey_spectra
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -104,6 +106,10 @@ class SurveyResult:
         Limits of the run; one that they ended early is scored for the whole survey.
     engine : str
         Kind of the engine.
+    spectra : SurveySpectra, optional
+        Band powers and null tests of the splits; None without splits.
+    no_spectra : str
+        Reason for missing spectra; else empty.
     """
 
     setup: Setup
@@ -119,6 +125,8 @@ class SurveyResult:
     unscored: str
     limits: StoppingCriteria
     engine: str
+    spectra: SurveySpectra | None = None
+    no_spectra: str = ""
 
     @property
     def discards(self) -> Discards:
@@ -127,8 +135,10 @@ class SurveyResult:
 
     @property
     def warnings(self) -> list[str]:
-        """Lines on discarded scans and on the coverage of the signal simulations."""
-        return [*self.discards.warnings, *signal_coverage_warnings(self.setup.analysis, self.coadds)]
+        """Lines on discarded scans, on the coverage of the signal simulations and on split maps."""
+        lines = [*self.discards.warnings, *signal_coverage_warnings(self.setup.analysis, self.coadds)]
+        lines += spectra_warnings(self.spectra) if self.spectra else []
+        return [*lines, f"spectra: not measured: {self.no_spectra}."] if self.no_spectra else lines
 
     @property
     def estimate(self) -> Estimate | None:
@@ -225,8 +235,19 @@ def survey_result(
         else:
             expected = run_forecast(setup, coadds)
             metrics = survey_metrics(setup, scores, expected)
+    spectra, no_spectra = _spectra(setup, coadds)
     found = scores, ratios, others, removed, expected, metrics
-    return SurveyResult(setup, coadds, *found, wall_s, workers, unscored, limits, engine)
+    return SurveyResult(setup, coadds, *found, wall_s, workers, unscored, limits, engine, spectra, no_spectra)
+
+
+def _spectra(setup: Setup, coadds: CoAdds) -> tuple[SurveySpectra | None, str]:
+    """Measure the spectra of the splits; None with the reason where too little is simulated."""
+    if setup.analysis.splits is None:
+        return None, ""
+    try:
+        return survey_spectra(setup, coadds), ""
+    except InsufficientDataError as error:
+        return None, str(error)
 
 
 def score_rows(result: SurveyResult) -> list[Row]:

@@ -3,6 +3,7 @@
 from surveysim.forecasting.forecast import can_forecast, why_no_forecast
 from surveysim.reduction.data_set import scaled_name
 from surveysim.reduction.setup import Setup, signal_sim_observations
+from surveysim.runtime.numbers import joined
 from surveysim.scene.scene import Scene
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.component import COMPONENTS, present_components
@@ -41,6 +42,9 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
         stages["data sets"] = ", ".join([*setup.analysis.data_set_names, *map(scaled_name, _masked(setup))])
         stages["transfer function"] = f"{scene.score.signal_sims.skies} skies through {n_with_sims} observations"
         stages["score"] = f"multipoles {scene.score.ell_min} to {scene.score.ell_max}"
+        if scene.spectra:
+            counts = [f"{split.name} ({len(split.parts)} parts)" for split in setup.analysis.splits.splits]
+            stages["spectra"] = f"cross-spectra and null tests of splits by {joined(counts)}"
         if can_forecast(setup):
             stages["forecast"] = "closed form, for each data set"
     if scene.map.healpix_nside:

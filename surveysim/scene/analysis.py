@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 from surveysim.scene.fields import (
     AboveOne,
     BandPowers,
+    Frequencies,
     Frequency,
     Line,
     Nside,
@@ -23,6 +24,15 @@ from surveysim.scene.metrics import AnyMetric, check_metrics
 from surveysim.scene.section import Section
 
 LONGEST_NAME = 100  # letters of a cleaning that is compared
+# Keys without a default that an algorithm needs.
+NEEDED_KEYS = {
+    "local": ("neighbour_radius",),
+    "polynomial": ("order", "regions"),
+    "highpass": ("highpass_frequency",),
+    "notch": ("notch_frequencies", "notch_widths"),
+    "time_polynomial": ("time_order",),
+}
+PCA_KEYS = {"sigma_cut": "sigma_cut", "modes": "pca_modes", "variance": "pca_variance"}  # by criterion
 
 
 class Cleaning(Section):
@@ -39,6 +49,13 @@ class Cleaning(Section):
     """Largest number of iterations of the template fit; scans whose fit does not converge are discarded."""
     sigma_cut: Positive | None = None
     """Required by "pca": modes whose log eigenvalue exceeds the mean by this many standard deviations are removed."""
+    pca_criterion: Literal["sigma_cut", "modes", "variance", "marchenko_pastur"] = "sigma_cut"
+    """Modes that "pca" removes: by `sigma_cut`, a number `pca_modes`, the fewest that hold a share `pca_variance` of
+    the variance, or those above the largest eigenvalue of white noise (Marchenko and Pastur)."""
+    pca_modes: Annotated[int, *whole(1, 10_000)] | None = None
+    """Required by the criterion "modes" of "pca", in place of `sigma_cut`: number of modes."""
+    pca_variance: Annotated[float, *number(1e-6, below=1)] | None = None
+    """Required by the criterion "variance" of "pca", in place of `sigma_cut`: share of the variance."""
     responsivities: Literal["scan", "observation", "survey", "known"] = "scan"
     """Responsivities used by template subtraction: "scan" and "observation" fit them to each scan or observation,
     "survey" uses the true values with a constant calibration error, "known" the true values."""
@@ -50,6 +67,16 @@ class Cleaning(Section):
     """Required by "polynomial": order of the polynomial over the focal plane."""
     regions: Annotated[int, *whole(1, 1000)] | None = None
     """Required by "polynomial": number of regions of the focal plane with separate polynomials."""
+    highpass_frequency_hz: Frequency | None = Field(None, alias="highpass_frequency")
+    """Required by "highpass": corner frequency."""
+    highpass_order: Annotated[int, *whole(1, 20)] | None = None
+    """Order of the Butterworth response of "highpass"; without it the cut is sharp."""
+    notch_frequencies_hz: Frequencies | None = Field(None, alias="notch_frequencies")
+    """Required by "notch": centres of the bands that are removed."""
+    notch_widths_hz: Frequencies | None = Field(None, alias="notch_widths")
+    """Required by "notch": full width of each band; 0 removes a single frequency."""
+    time_order: Annotated[int, *whole(1, 20)] | None = None
+    """Required by "time_polynomial": order of the polynomial in time that is removed from each detector and scan."""
 
     @property
     def named(self) -> frozenset[str]:
@@ -59,15 +86,18 @@ class Cleaning(Section):
     @model_validator(mode="after")
     def _each_algorithm_has_its_keys(self) -> Self:
         named = self.named
-        for key, algorithm in (
-            ("sigma_cut", "pca"),
-            ("neighbour_radius", "local"),
-            ("order", "polynomial"),
-            ("regions", "polynomial"),
-        ):
-            if algorithm in named and getattr(self, key) is None:
-                raise ValueError(f"{key}: missing; {algorithm!r} needs it")
+        for algorithm, keys in NEEDED_KEYS.items():
+            for key in keys if algorithm in named else ():
+                if self._value(key) is None:
+                    raise ValueError(f"{key}: missing; {algorithm!r} needs it")
+        self._check_pca(named)
         self._check_responsivities(named)
+        n_notch = len(self.notch_frequencies_hz or ())
+        if "notch" in named and len(self.notch_widths_hz or ()) != n_notch:
+            raise ValueError(
+                f"notch_widths: found {len(self.notch_widths_hz or ())} values; {n_notch}, one for each of"
+                " notch_frequencies, are expected"
+            )
         sets = ["+".join(steps) for steps in (self.algorithm, *self.compare)]
         alike = [name.lower() for name in sets]  # some file systems do not tell cases apart
         if repeated := [name for name in sets if alike.count(name.lower()) > 1]:
@@ -79,6 +109,23 @@ class Cleaning(Section):
                     f"{LONGEST_NAME} or fewer are expected"
                 )
         return self
+
+    def _value(self, key: str) -> object:
+        """Return the value of a key of the file, whose name here may have a unit."""
+        return getattr(self, key, None) if key in type(self).model_fields else getattr(self, f"{key}_hz")
+
+    def _check_pca(self, named: frozenset[str]) -> None:
+        """Raise ValueError where the number of the criterion is missing, or the criterion would do nothing."""
+        if "pca" not in named:
+            if self.pca_criterion != "sigma_cut":
+                raise ValueError(
+                    f"pca_criterion: found {self.pca_criterion!r} without 'pca'; that algorithm is expected"
+                )
+            return
+        key = PCA_KEYS.get(self.pca_criterion)
+        if key is not None and getattr(self, key) is None:
+            needs = "'pca'" if key == "sigma_cut" else f"pca_criterion {self.pca_criterion!r}"
+            raise ValueError(f"{key}: missing; {needs} needs it")
 
     def _check_responsivities(self, named: frozenset[str]) -> None:
         """Raise ValueError where a key about responsivities is missing, or would do nothing."""

@@ -317,6 +317,7 @@ Index = Annotated[
     Field(ge=0.01, le=20, allow_inf_nan=False),
     of_file(["number", "string"], minimum=0.01, maximum=20, examples=["11/3"]),
 ]
+Frequencies = Annotated[tuple[float, ...], *quantities("Hz", "[1.4, 2.8] Hz", zero_or="1e-6 Hz", at_most="1 GHz")]
 Variances = Annotated[tuple[float, ...], *quantities("mK2", "[1, 2, 5] mK2", zero_or="1e-12 mK2", at_most="1e12 mK2")]
 Waters = Annotated[tuple[float, ...], *quantities("mm", "[0.5, 1, 2] mm", zero_or="1e-6 mm", at_most="1000 mm")]
 # Amplitudes of a power spectrum, whose unit goes with the screen's index: `Atmosphere` makes floats of them.

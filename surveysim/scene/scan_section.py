@@ -28,6 +28,8 @@ class ScanSection(Section):
         Duration of one scan as it is simulated, and of the time between two.
     duration_key
         Key that sets the duration of a scan.
+    there_and_back
+        Whether scans go there and back in turn.
     """
 
     pattern: str
@@ -37,6 +39,7 @@ class ScanSection(Section):
     sample_rate_hz: Frequency = Field(alias="sample_rate")
     """Sampling rate of the time-streams."""
     duration_key: ClassVar[str] = "scan.duration"
+    there_and_back: ClassVar[bool] = False
 
     @property
     def needs_horizon(self) -> str:

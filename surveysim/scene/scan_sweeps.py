@@ -17,6 +17,8 @@ class SweepScan(ScanSection):
         Time in which the acceleration of a turnaround rises, and that in which it falls.
     """
 
+    there_and_back: ClassVar[bool] = True
+
     turnarounds: Literal["left out", "flagged"] = "left out"
     """"flagged": turnarounds are simulated, half of one at both ends of each scan. Filters take interpolated samples in
     their place; maps have none of them."""

@@ -39,6 +39,7 @@ from surveysim.scene.scan_patterns import AnyScan
 from surveysim.scene.section import Section
 from surveysim.scene.shipped import MAX_NAME, NAME, find_scene, is_name, no_such_scene
 from surveysim.scene.sites import OWN
+from surveysim.scene.spectra import Spectra
 from surveysim.scene.telescope import TelescopeSection
 from surveysim.scene.units import file_value, shown
 
@@ -102,6 +103,7 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
     map: MapSection
     score: Score | None = None
     """Without it there are maps, but no uncertainties."""
+    spectra: Spectra | None = None
     numerics: Numerics = Numerics()
     optimise: Optimise | None = None
     assumed: SkipJsonSchema[tuple[str, ...]] = ()
@@ -158,6 +160,8 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
             *names, last = StreamSections.model_fields
             raise ValueError(f"at least one of {', '.join(names)} and {last} is expected")
         self.scan.check_observations(self.observations, self.schedule is not None)
+        if self.spectra:
+            self.spectra.check(self.score, self.scan)
         return self
 
     def _readout_fits(self) -> None:

@@ -20,14 +20,12 @@ from surveysim.reduction.setup import Setup
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import survey_hash
 from surveysim.survey.coadd_tree import is_node
-from surveysim.survey.coadds import CoAdds, empty_coadds, row_names
+from surveysim.survey.coadds import LISTS, CoAdds, array_names, empty_coadds, row_names
 from surveysim.telescope.scans import samples_per_scan
 
 NAME = "checkpoint.h5"
 REASON = 150  # longest reason for refusing a file, in characters
 
-_ARRAYS = ("sums", "weight", "hits", "flipped", "signal_maps", "signal_weight")
-_LISTS = ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd")
 _AGAIN = "delete it and go on with --resume"
 _LARGEST = 1e30  # bound of all sums: maps, in single precision, hold up to 3e38
 _USER_BLOCK = 512  # bytes, the smallest of HDF5
@@ -53,7 +51,7 @@ def save_checkpoint(path: Path, nodes: Sequence[CoAdds], setup: Setup) -> None:
         "pointing": _pointing_hash(setup, numbers),
     }
     meta |= _extent(setup)
-    content = _packed(nodes, meta)
+    content = _packed(nodes, (*array_names(setup.analysis), *LISTS), meta)
     with atomic_write(path) as partial, open(partial, "wb") as file:
         file.write((_MARK + sha256(content).hexdigest().encode()).ljust(_USER_BLOCK, b"\0"))
         file.write(content)
@@ -77,7 +75,7 @@ def _pointing_hash(setup: Setup, numbers: np.ndarray) -> str:
     return sha256(b"".join(np.ascontiguousarray(row).tobytes() for row in rows)).hexdigest()
 
 
-def _packed(nodes: Sequence[CoAdds], meta: Mapping[str, Any]) -> memoryview:
+def _packed(nodes: Sequence[CoAdds], names: Sequence[str], meta: Mapping[str, Any]) -> memoryview:
     """Make an HDF5 file in memory, without its user block, so that disk errors are plain ones."""
     import h5py
 
@@ -87,7 +85,7 @@ def _packed(nodes: Sequence[CoAdds], meta: Mapping[str, Any]) -> memoryview:
         for node in nodes:
             group = file.create_group(f"{node.first:09d}")
             group.attrs["seconds"] = json.dumps(node.seconds, allow_nan=False)
-            for name in (*_ARRAYS, *_LISTS):
+            for name in names:
                 group.create_dataset(name, data=np.asarray(getattr(node, name)))
     return whole.getbuffer()[_USER_BLOCK:]
 
@@ -173,8 +171,10 @@ def _checked_node(group: Any, setup: Setup) -> CoAdds:
     """Read a node; raises ValueError for one that is not of the tree of sums."""
     arrays = _checked_arrays(group, setup)
     rows = [tuple(float(value) for value in row) for row in arrays.pop("rows")]
-    sums: dict[str, Any] = {name: list(array) if name in _LISTS else array for name, array in arrays.items()}
-    node = CoAdds(**sums, rows=rows, seconds=_checked_seconds(read_meta(group.attrs["seconds"])))
+    node = empty_coadds(setup.analysis, flips=False)
+    for name, array in arrays.items():
+        setattr(node, name, list(array) if name in LISTS else array)
+    node.rows, node.seconds = rows, _checked_seconds(read_meta(group.attrs["seconds"]))
     if not is_node(setup, node):
         raise ValueError(f"observations {node.first} to {node.end - 1} are no node of the sums")
     return node
@@ -185,26 +185,27 @@ def _checked_arrays(group: Any, setup: Setup) -> dict[str, np.ndarray]:
 
     They are compared before anything is read: an array of the size that a file declares may not fit in memory.
     """
-    if found := set(group) ^ {*_ARRAYS, *_LISTS}:
+    names = array_names(setup.analysis)
+    if found := set(group) ^ {*names, *LISTS}:
         raise ValueError(f"missing or unknown: {', '.join(sorted(found))}")
     done = group["rows"].shape[0]
     single = done == 1 and group["flipped"].shape[:1] == (0,)
     expected = empty_coadds(setup.analysis, flips=not single)
     n_freq, n_compared = samples_per_scan(setup.observing.scans) // 2 + 1, len(setup.analysis.whole_pipelines) - 1
     n_bin = 0 if setup.analysis.region is None else len(setup.analysis.region.rings.ell)
-    shapes = {name: getattr(expected, name).shape for name in _ARRAYS} | {
+    shapes = {name: getattr(expected, name).shape for name in names} | {
         "rows": (done, len(row_names(setup.analysis))),
         "raw_psd": (done, n_freq),
         "clean_psd": (done, n_freq),
         "bin_noise": (done, len(setup.analysis.data_set_names), n_bin),
         "compared_psd": (done, n_compared, n_freq),
     }
-    types = {name: getattr(expected, name).dtype for name in _ARRAYS}
+    types = {name: getattr(expected, name).dtype for name in names}
     for name, shape in shapes.items():
         kind = group[name].dtype
         if group[name].shape != shape or not done:
             raise ValueError(f"{name} has the shape {group[name].shape}, {shape} is expected")
-        if kind != types.get(name, kind) or kind.kind not in "if" or (kind.kind == "i" and name in _LISTS):
+        if kind != types.get(name, kind) or kind.kind not in "if" or (kind.kind == "i" and name in LISTS):
             raise ValueError(f"{name} is of {kind}")
     arrays = {name: group[name][()] for name in shapes}
     _check_values(arrays, setup)
@@ -213,7 +214,7 @@ def _checked_arrays(group: Any, setup: Setup) -> dict[str, np.ndarray]:
 
 def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
     """Raise ValueError for sums that no observations could give."""
-    for name in (*_ARRAYS, "raw_psd", "clean_psd", "compared_psd"):
+    for name in (*array_names(setup.analysis), "raw_psd", "clean_psd", "compared_psd"):
         if not (np.abs(arrays[name]) < _LARGEST).all():
             raise ValueError(f"{name} has values that are not finite, or above {_LARGEST:g}")
     for name in ("weight", "hits", "signal_weight", "raw_psd", "clean_psd", "compared_psd"):
@@ -221,6 +222,8 @@ def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
             raise ValueError(f"{name} has negative values")
     if not (arrays["bin_noise"] >= 0).all():  # infinite where an observation has no data
         raise ValueError("bin_noise has negative values, or some that are no numbers")
+    if "split_weight" in arrays and (arrays["split_weight"] < 0).any():
+        raise ValueError("split_weight has negative values")
     if arrays["weight"][arrays["hits"] == 0].any() or arrays["sums"][arrays["weight"] == 0].any():
         raise ValueError("there are sums without hits or without weight")
     columns = dict(zip(row_names(setup.analysis), arrays["rows"].T, strict=True))

@@ -11,7 +11,7 @@ import numpy as np
 
 from surveysim.reduction.resource_limits import LARGE_SUMS, LEAF
 from surveysim.reduction.setup import Setup
-from surveysim.survey.coadds import CoAdds, add_observations, add_sums, copied, empty_coadds
+from surveysim.survey.coadds import CoAdds, add_observations, add_sums, copied, empty_coadds, sums_bytes
 from surveysim.survey.remote_node import Node, RemoteNode, here
 
 _WAITING_BYTES = 64e6  # of single observations, which are added to the sums in one pass
@@ -25,11 +25,7 @@ def leaf_size(setup: Setup) -> int:
 
 def node_bytes(setup: Setup) -> float:
     """Size of the maps of a node [bytes]."""
-    empty = empty_coadds(setup.analysis)
-    return sum(
-        array.nbytes
-        for array in (empty.sums, empty.weight, empty.hits, empty.flipped, empty.signal_maps, empty.signal_weight)
-    )
+    return sums_bytes(setup.analysis)
 
 
 def nodes_of_all(setup: Setup) -> int:

@@ -17,6 +17,7 @@ from surveysim.reduction.observation_result import ObservationResult
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.scene import Scene
+from surveysim.scene.spectra import NIGHT
 from surveysim.survey.kernels import add_signed
 
 ROW_FIELDS = (
@@ -30,6 +31,9 @@ ROW_FIELDS = (
     "flagged",
 )
 _OF_SIGNALS = ("signal_maps", "signal_weight")
+_OF_SPLITS = ("split_sums", "split_weight", "split_flipped")
+_ARRAYS = ("sums", "weight", "hits", "flipped", *_OF_SIGNALS, *_OF_SPLITS)
+LISTS = ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd")  # with an entry for each observation
 
 
 @dataclass
@@ -46,6 +50,10 @@ class CoAdds:
     signal_maps : (n_sky, n_transfer, 2, n, n)
         Signal simulations on the patch.
     signal_weight : (n_transfer, n, n)
+    split_sums, split_weight : (n_map, n, n)
+        Sums of w S and w H of the actual data in each part of the splits, on the patch; no maps without splits.
+    split_flipped : (n_map, K, 2, n, n)
+        Both with random signs of the observations (`split_signs`); K is 0 for one observation alone.
     rows
         One tuple per observation (`row_names`).
     bin_noise : (n_obs, n_set, n_bin)
@@ -60,6 +68,9 @@ class CoAdds:
     flipped: np.ndarray
     signal_maps: np.ndarray
     signal_weight: np.ndarray
+    split_sums: np.ndarray
+    split_weight: np.ndarray
+    split_flipped: np.ndarray
     rows: list[tuple[float, ...]] = field(default_factory=list)
     bin_noise: list[np.ndarray] = field(default_factory=list)
     raw_psd: list[np.ndarray] = field(default_factory=list)
@@ -129,21 +140,37 @@ class CoAdds:
 def empty_coadds(analysis: AnalysisSetup, *, flips: bool = True) -> CoAdds:
     """Make sums over no observation, with or without sign-flipped co-adds."""
     shape = (len(analysis.data_set_names), analysis.geometry.n_y, analysis.geometry.n_x)
-    return CoAdds(np.zeros(shape), np.zeros(shape), np.zeros(shape, np.int64), *_empty_patches(analysis, flips))
+    return CoAdds(np.zeros(shape), np.zeros(shape), np.zeros(shape, np.int64), **_empty_patches(analysis, flips))
 
 
-def _empty_patches(analysis: AnalysisSetup, flips: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Make the sums on the scored patch over no observation: `flipped`, `signal_maps` and `signal_weight`."""
+def array_names(analysis: AnalysisSetup) -> tuple[str, ...]:
+    """List the names of the arrays of a survey's sums: those of splits only where there are splits."""
+    return tuple(name for name in _ARRAYS if analysis.splits is not None or name not in _OF_SPLITS)
+
+
+def sums_bytes(analysis: AnalysisSetup) -> float:
+    """Size of the arrays of sums [bytes]."""
+    empty = empty_coadds(analysis)
+    return sum(getattr(empty, name).nbytes for name in _ARRAYS)
+
+
+def _empty_patches(analysis: AnalysisSetup, flips: bool) -> dict[str, Any]:
+    """Make the sums on the scored patch over no observation, by name."""
     n_set, n_transfer = len(analysis.data_set_names), len(analysis.transfer_function_names)
-    n_flip = n_sky = n = 0
+    n_flip = n_sky = n = n_split = n_split_flip = 0
     if analysis.scene.score:
         n_flip, n_sky = analysis.scene.score.jackknives * flips, analysis.n_signal_skies
         n = len(analysis.region.taper)
-    return (
-        np.zeros((n_flip, n_set, n, n)),
-        np.zeros((n_sky, n_transfer, 2, n, n)),
-        np.zeros((n_transfer, n, n)),
-    )
+    if analysis.splits:
+        n_split, n_split_flip = analysis.splits.n_map, analysis.scene.spectra.realizations * flips
+    return {
+        "flipped": np.zeros((n_flip, n_set, n, n)),
+        "signal_maps": np.zeros((n_sky, n_transfer, 2, n, n)),
+        "signal_weight": np.zeros((n_transfer, n, n)),
+        "split_sums": np.zeros((n_split, n, n)),
+        "split_weight": np.zeros((n_split, n, n)),
+        "split_flipped": np.zeros((n_split, n_split_flip, 2, n, n)),
+    }
 
 
 def jackknife_signs(scene: Scene, observation: int) -> np.ndarray:
@@ -153,6 +180,12 @@ def jackknife_signs(scene: Scene, observation: int) -> np.ndarray:
         return np.zeros(0)
     rng = generator(scene.seed, RandomPurpose.JACKKNIFE, observation)
     return 2.0 * rng.integers(0, 2, score.jackknives) - 1.0
+
+
+def split_signs(scene: Scene, observation: int) -> np.ndarray:
+    """Draw the signs (K,) of one observation in the sign-flipped split maps, the same in all parts."""
+    rng = generator(scene.seed, "signs of split maps", observation)
+    return 2.0 * rng.integers(0, 2, scene.spectra.realizations) - 1.0
 
 
 def observation_sums(analysis: AnalysisSetup, result: ObservationResult) -> CoAdds:
@@ -169,7 +202,7 @@ def observation_sums(analysis: AnalysisSetup, result: ObservationResult) -> CoAd
         np.multiply(weights[:, None, None], result.sums, dtype=float),
         np.multiply(weights[:, None, None], result.exposure, dtype=float),
         result.hits.astype(np.int64),
-        *_empty_patches(analysis, flips=False),
+        **_empty_patches(analysis, flips=False),
         rows=[_row(result)],
         bin_noise=[result.bin_noise_mk2],
         raw_psd=[result.raw_psd],
@@ -179,6 +212,8 @@ def observation_sums(analysis: AnalysisSetup, result: ObservationResult) -> CoAd
     )
     if result.signal_maps is not None:
         _add_signal_maps(analysis, found, result, weights)
+    if analysis.splits:
+        _add_split_maps(analysis, found, result, weights[0])
     return found
 
 
@@ -205,6 +240,7 @@ def add_observations(analysis: AnalysisSetup, coadds: CoAdds, observations: Sequ
     if len(signs):
         add_signed(coadds.flipped, patches, signs)
     for item in observations:
+        _flip_splits(analysis.scene, coadds, item)
         _add_arrays(coadds, item)
         _add_lists(coadds, item)
 
@@ -220,6 +256,7 @@ def add_sums(coadds: CoAdds, later: CoAdds) -> None:
     if later.first != coadds.end or later.flipped.shape != coadds.flipped.shape:
         raise ValueError(f"found sums from observation {later.first} on; {coadds.end} is the next in order")
     coadds.flipped += later.flipped
+    coadds.split_flipped += later.split_flipped
     _add_arrays(coadds, later)
     _add_lists(coadds, later)
 
@@ -231,10 +268,22 @@ def _add_arrays(coadds: CoAdds, later: CoAdds) -> None:
     if later.signal_weight.any():
         coadds.signal_maps += later.signal_maps
         coadds.signal_weight += later.signal_weight
+    coadds.split_sums += later.split_sums
+    coadds.split_weight += later.split_weight
+
+
+def _flip_splits(scene: Scene, coadds: CoAdds, item: CoAdds) -> None:
+    """Add the split maps of one observation with random signs, in place."""
+    if not len(item.split_sums):
+        return
+    signs = split_signs(scene, item.first)[:, None]
+    for number in np.flatnonzero(item.split_weight.any(axis=(1, 2))):  # one part of the split by night has it
+        maps = np.stack([item.split_sums[number], item.split_weight[number]])[None]
+        add_signed(coadds.split_flipped[number], maps, signs)
 
 
 def _add_lists(coadds: CoAdds, later: CoAdds) -> None:
-    for name in ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd"):
+    for name in LISTS:
         getattr(coadds, name).extend(getattr(later, name))
     for stage, seconds in later.seconds.items():
         coadds.seconds[stage] = coadds.seconds.get(stage, 0.0) + seconds
@@ -242,9 +291,7 @@ def _add_lists(coadds: CoAdds, later: CoAdds) -> None:
 
 def copied(coadds: CoAdds) -> CoAdds:
     """Copy sums: what is added to the copy leaves them as they are."""
-    arrays = ("sums", "weight", "hits", "flipped", "signal_maps", "signal_weight")
-    lists = ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd")
-    found: dict[str, Any] = {name: getattr(coadds, name).copy() for name in (*arrays, *lists, "seconds")}
+    found: dict[str, Any] = {name: getattr(coadds, name).copy() for name in (*_ARRAYS, *LISTS, "seconds")}
     return CoAdds(**found)
 
 
@@ -299,6 +346,19 @@ def _add_signal_maps(analysis: AnalysisSetup, coadds: CoAdds, result: Observatio
         data_set = analysis.data_set_names.index(name)
         coadds.signal_maps[:, place] += weights[data_set] * result.signal_maps[:, place]
         coadds.signal_weight[place] += weights[data_set] * result.exposure[data_set][patch, patch]
+
+
+def _add_split_maps(analysis: AnalysisSetup, coadds: CoAdds, result: ObservationResult, weight: float) -> None:
+    patch, first = analysis.region.patch, 0
+    for split in analysis.splits.splits:
+        if split.name == NIGHT:
+            number = split.first + int(analysis.splits.night_parts[result.observation])
+            maps, found = slice(number, number + 1), (result.sums[:1, patch, patch], result.exposure[:1, patch, patch])
+        else:
+            maps, own = split.maps, slice(first, first + len(split.parts))
+            found, first = (result.split_sums[own], result.split_exposure[own]), own.stop
+        coadds.split_sums[maps] = np.multiply(weight, found[0], dtype=float)
+        coadds.split_weight[maps] = np.multiply(weight, found[1], dtype=float)
 
 
 def _row(result: ObservationResult) -> tuple[float, ...]:

@@ -35,7 +35,8 @@ NUMBERS = (np.nan, np.inf, -np.inf, 1e300, -1e300, 91.0, 720.0, 1e30, -91.0)
 
 def prepare(folder: Path) -> bytes:
     """The bytes of a good file, read, cleaned and mapped once."""
-    from mapmaker.timestreams import FocalPlane, Timestreams, write_timestreams
+    from mapmaker.formats import write_timestreams
+    from mapmaker.timestreams import FocalPlane, Timestreams
 
     rng = np.random.default_rng(3)
     n = N_SCAN * SAMPLES

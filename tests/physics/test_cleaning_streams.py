@@ -132,6 +132,7 @@ def test_local_templates_after_the_average_take_shared_noise(bad):
         assert 0.2 < both.data_mk.var() / average.data_mk.var() < 0.75
 
 
+@pytest.mark.slow
 def test_scans_that_go_along_with_the_wind_hold_nothing_to_fit_to(monkeypatch):
     """Bad weather, wind at the speed of short scans and along them: one fit a scan loses every second scan, those.
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapmaker.timestreams import read_timestreams
+from mapmaker.formats import read_timestreams
 from surveysim.api import run
 from surveysim.forecasting.forecast import forecast
 from surveysim.reduction.observation import observe

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import surveysim
-from mapmaker.timestreams import read_timestreams
+from mapmaker.formats import read_timestreams
 from surveysim import SceneError, load_scene, run, simulate_observation
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL, Engine

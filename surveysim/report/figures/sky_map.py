@@ -4,9 +4,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import MaxNLocator
 
-from mapmaker.geometry import MapGeometry, plane_directions
+from mapmaker.report.figures import sky_ticks
 from surveysim.reduction.setup import Setup
 from surveysim.report.figures.style import (
     BLACK,
@@ -15,8 +14,6 @@ from surveysim.report.figures.style import (
     three_digits,
 )
 from surveysim.survey.coadds import CoAdds
-
-Ticks = tuple[list[float], list[str]]  # places and labels
 
 # inch: figure, images, colour bars, and the room for labels to the left of an image and below
 WIDTH, HEIGHT, SIDE, BAR, LEFT, BELOW = 10.0, 4.1, 3.15, 0.15, 0.8, 0.58
@@ -81,30 +78,3 @@ def _sky_axes(axes: Axes, setup: Setup) -> None:
         axes.add_patch(Rectangle(corner, side, side, fill=False, ec=BLACK, lw=1.2))
         x, y = (start + side / 40 for start in corner)
         axes.text(x, y, "scored", fontsize=8.5, bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 1.5})
-
-
-def sky_ticks(geometry: MapGeometry) -> tuple[Ticks, Ticks]:
-    """Find ticks at the lower edge of a map by right ascension, and at its left edge by declination.
-
-    Their places are in pixels, 0 at the centre of the first.
-    """
-    column, row = np.arange(geometry.n_x + 1) - 0.5, np.arange(geometry.n_y + 1) - 0.5
-    east, north = (
-        (n / 2 - 0.5 - place) * geometry.pixel_rad for n, place in ((geometry.n_x, column), (geometry.n_y, row))
-    )
-    ra, _ = plane_directions(geometry, east, np.full_like(east, -north[0]))
-    _, dec = plane_directions(geometry, np.full_like(north, east[0]), -north)
-    return _ticks(column, np.degrees(np.unwrap(ra)), 0.0), _ticks(row, np.degrees(dec), -180.0)
-
-
-def _ticks(place: np.ndarray, degrees: np.ndarray, least: float) -> Ticks:
-    """Find where an angle along an edge is a multiple of a round step; labels start at `least`."""
-    values = MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]).tick_values(degrees.min(), degrees.max())
-    digits = max(0, *(len(f"{value:.6g}".partition(".")[2]) for value in values))
-    places, labels = [], []
-    for value in values:
-        for at in np.flatnonzero(np.diff(degrees >= value)):
-            share = (value - degrees[at]) / (degrees[at + 1] - degrees[at])
-            places.append(float(place[at] + share))
-            labels.append(f"{(value - least) % 360 + least:.{digits}f}\N{DEGREE SIGN}")
-    return places, labels

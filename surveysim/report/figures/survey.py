@@ -16,6 +16,7 @@ from surveysim.report.figures.observations import timestream_psd, weather
 from surveysim.report.figures.run_time import time_figure
 from surveysim.report.figures.sky_map import coadded_map
 from surveysim.report.figures.spectra import bin_weights, cumulative_sensitivity, map_psds, transfer_functions
+from surveysim.report.figures.split_spectra import split_spectra
 from surveysim.report.figures.style import save
 from surveysim.report.figures.track import track_and_hits
 from surveysim.results.results import SurveyResult
@@ -28,6 +29,7 @@ TITLES = {
     "transfer_function": "transfer functions",
     "cumulative_sensitivity": "cumulative sensitivity",
     "weights": "weights of multipoles in the score",
+    "spectra": "band powers and null tests",
     "weather": "noise of each observation",
 }
 RUN_TIME = "run_time"
@@ -53,6 +55,8 @@ def survey_figures(result: SurveyResult) -> dict[str, Callable[[], Figure]]:
         made["transfer_function"] = partial(transfer_functions, setup, scores, expected)
         made["cumulative_sensitivity"] = partial(cumulative_sensitivity, setup, scores)
         made["weights"] = partial(bin_weights, setup, scores)
+    if result.spectra:
+        made["spectra"] = partial(split_spectra, result.spectra)
     if (coadds.column("b2_mk2") > 0).any():
         made["weather"] = partial(weather, setup, coadds)
     found: dict[str, Callable[[], Any]]

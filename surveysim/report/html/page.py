@@ -3,17 +3,19 @@
 import json
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mapmaker.files import atomic_write
 from mapmaker.printable import printable, shortened
+from mapmaker.report.page import page_bytes
 from surveysim import __version__
 from surveysim.report.html.components import Page
 
-if TYPE_CHECKING:
-    from markupsafe import Markup
-
 REPORT = "report.html"
+FOOTER = (
+    f"Written by surveysim {__version__} from the files beside it. This page is whole: it asks nothing of the network. "
+    "Rebuild it with `surveysim report DIR`."
+)
 LONGEST_REASON = 150
 FIRST = (0, 5)  # first version with the present keys of summary.json
 # Keys that identify the kind of results.
@@ -21,32 +23,6 @@ KINDS = {"points", "scores", "accuracy", "bands", "budget", "optimum", "compared
 EXPECTED = (
     "the directory of a run, a sweep, 'surveysim budget', 'optimise', 'compare', 'accuracy' or 'paper' is expected"
 )
-# Units and symbols as the results write them, once they are escaped for HTML.
-_WRITTEN = [
-    (re.compile(pattern), written)
-    for pattern, written in (
-        (r"\b([uµm])K_CMB\^?2\b", r"\1K²<sub>CMB</sub>"),
-        (r"\b([uµ]K²|[uµm]K)_(CMB|RJ)\b", r"\1<sub>\2</sub>"),
-        (r"\b([uµm])K\^?2\b", r"\1K²"),
-        (r"\buK", "µK"),
-        (r"\b(rad|Hz)\((-?[\d/]+)\)", r"\1<sup>\2</sup>"),
-        (r"\^\(([^()]*)\)", r"<sup>\1</sup>"),
-        (r"\^(-?\d+)", r"<sup>\1</sup>"),
-        (r"<sup>-", "<sup>−"),
-        (r"\bB2\b", "B<sup>2</sup>"),
-        (r"\bell_eff\b", "ℓ<sub>eff</sub>"),
-        (r"\bell\b", "ℓ"),
-        (r"\(f/#\)lambda\b", "(f/#)λ"),
-        (r"\bsigma\(A\)", "σ(A)"),
-        (r" / (s|Hz)\b", r"/\1"),
-        (r"\+-", "±"),
-        (r"(?<=[a-z0-9])([._])(?=[a-z])", r"\1<wbr>"),  # where a key of a scene may go on in the next line
-    )
-]
-
-
-# Characters that no page may have, or that turn the direction of its text.
-_CONTROLS = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 
 class NoResultsError(ValueError):
@@ -63,7 +39,7 @@ def write_report(directory: str | Path) -> Path:
         found = "not a directory" if directory.exists() else "no such directory"
         raise NoResultsError(f"{directory}: {found}; {EXPECTED}")
     try:
-        page = _CONTROLS.sub(lambda found: printable(found[0]), _html(_page_of(directory))).encode("utf-8")
+        page = page_bytes(_page_of(directory), FOOTER)
     except (NoResultsError, OSError, MemoryError):
         raise
     except Exception as error:  # files that others wrote, or that are damaged, can have anything in them
@@ -137,28 +113,3 @@ def _read(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise NoResultsError(f"{path}: found {type(content).__name__}; a JSON object is expected")
     return content
-
-
-def _html(page: Page) -> str:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("surveysim.report.html"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters["units"] = units
-    return environment.get_template("page.html.j2").render(page=page, version=__version__)
-
-
-def units(text: str) -> "Markup":
-    """Escape text for HTML, and format units and symbols: ``uK_CMB^2``, ``mK2 rad(-5/3)``, ``ell_eff``."""
-    from markupsafe import Markup, escape
-
-    written = str(escape(text))
-    for pattern, replacement in _WRITTEN:
-        written = pattern.sub(replacement, written)
-    return Markup(written)

@@ -29,6 +29,9 @@ CLEANINGS = {
     "pca": "adaptive PCA",
     "local": "subtraction of the mean of neighbours",
     "spectral": "subtraction of the signal common to the bands",
+    "highpass": "a high-pass filter",
+    "notch": "notch filters",
+    "time_polynomial": "subtraction of a polynomial in time",
 }
 COHERENCES = {
     "field": "as far as the fields of overlapping beams are coherent (hypothesis of Sayers et al. 2010)",
@@ -306,10 +309,37 @@ def _cleaning(cleaning: Values) -> Iterator[str]:
     if not named.isdisjoint(TEMPLATE_CLEANINGS):
         yield _RESPONSIVITIES[cleaning["responsivities"]].format(error=cleaning["calibration_error"])
     yield f"Templates are iterated to {number(cleaning['tolerance'], 1)}, at most {cleaning['max_iterations']} times."
-    details = {"sigma_cut": "sigma", "neighbour_radius": "closest separations", "order": "", "regions": ""}
-    for key, unit in details.items():
+    if "pca" in named:
+        yield f"PCA removes modes by {_CRITERIA[cleaning['pca_criterion']]}."
+    for key, unit in _DETAILS.items():
         if cleaning[key] is not None:
-            yield f"{key.replace('_', ' ').capitalize()}: {f'{short(cleaning[key])} {unit}'.strip()}."
+            name = key.removesuffix("_hz").replace("_", " ").capitalize().replace("Pca", "PCA")
+            yield f"{name}: {f'{_values(cleaning[key])} {unit}'.strip()}."
+
+
+_CRITERIA = {
+    "sigma_cut": "outliers of their logarithms",
+    "modes": "number",
+    "variance": "their share of the variance",
+    "marchenko_pastur": "the largest eigenvalue of white noise",
+}
+_DETAILS = {
+    "sigma_cut": "sigma",
+    "pca_modes": "",
+    "pca_variance": "",
+    "neighbour_radius": "closest separations",
+    "order": "",
+    "regions": "",
+    "highpass_frequency_hz": "Hz",
+    "highpass_order": "",
+    "notch_frequencies_hz": "Hz",
+    "notch_widths_hz": "Hz",
+    "time_order": "",
+}
+
+
+def _values(value: Any) -> str:
+    return joined([short(item) for item in value]) if isinstance(value, list | tuple) else short(value)
 
 
 def _map(scene: Values) -> Iterator[str]:

@@ -9,7 +9,9 @@ from surveysim.report.html.captions import RUN
 from surveysim.report.html.closure import closure_blocks
 from surveysim.report.html.components import (
     UK2,
+    Block,
     Grid,
+    Listing,
     Page,
     Picture,
     Section,
@@ -23,6 +25,7 @@ from surveysim.report.html.scene import band_of, cleaning_words, what_was_simula
 from surveysim.report.html.scores import kind_sentence, score_blocks
 from surveysim.results.metric_tables import label
 from surveysim.results.sensitivity import sensitivity_tables
+from surveysim.results.spectra import band_power_table, split_sentences, split_table
 from surveysim.results.tables import over_reference
 from surveysim.runtime.numbers import as_known, count, duration, percent, plural, quoted, short
 
@@ -34,6 +37,15 @@ LOAD = (
 SENSITIVITY = (
     "NET and NEFD are above the atmosphere, for an integration of one second. Those of the array are of the mean of all"
     " detectors, with the correlation of their photon noise.",
+)
+BAND_POWERS = (
+    "Cross-power of the parts, corrected for taper, beam, pixels, scans and cleaning. Errors come from random signs of"
+    " the observations and Gaussian skies; the analytic error is that of Gaussian noise, even over the patch. The error"
+    " of the transfer function is apart. Noise bias: the cross-power of the noise alone.",
+)
+NULLS = (
+    "Input: band powers about the spectrum of the simulated sky. Null: power of half the difference of parts, about"
+    " that of random signs. PTE: probability to exceed; below 0.001 a test fails.",
 )
 UNKNOWN = "Its error is unknown: there are too few observations to estimate it."
 
@@ -48,6 +60,8 @@ def run_page(directory: Path, summary: Content, scene: Content) -> Page:
         sections.append(Section("sensitivity", "Load and sensitivity", sensitivity_blocks(summary["sensitivity"])))
     if summary["scores"]:
         sections.append(Section("scores", "Scores", tuple(score_blocks(summary, scene))))
+    if "spectra" in summary:
+        sections.append(Section("spectra", "Band powers and null tests", spectra_blocks(summary["spectra"])))
     sections.append(discarded_section(summary, scene))
     title = "Error against run time" if summary["scores"] else "Run time"
     sections.append(Section("time", title, (*time_blocks(summary, scene), *timing)))
@@ -68,6 +82,12 @@ def sensitivity_blocks(entries: Sequence[Content]) -> tuple[Grid, ...]:
     """Return the tables of load and sensitivity."""
     notes = (LOAD, (), SENSITIVITY)
     return tuple(grid(table, *note) for table, note in zip(sensitivity_tables(entries), notes, strict=True))
+
+
+def spectra_blocks(entry: Content) -> tuple[Block, ...]:
+    """Return the tables of band powers and null tests, and sentences on the parts."""
+    tables = grid(band_power_table(entry), *BAND_POWERS), grid(split_table(entry), *NULLS)
+    return (*tables, Listing(tuple(split_sentences(entry)), "Parts of the splits:"))
 
 
 def run_pictures(directory: Path, summary: Content, scene: Content) -> list[Picture]:

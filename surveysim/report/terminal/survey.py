@@ -14,6 +14,7 @@ from surveysim.results.agreement import GOOD_SIGMA
 from surveysim.results.method import CONTROLLED, PLAIN, method
 from surveysim.results.metric_tables import label, metric_notes, metric_table
 from surveysim.results.results import SurveyResult
+from surveysim.results.spectra import band_power_table, split_sentences, split_table
 from surveysim.results.stopping import UNLIMITED, Estimate
 from surveysim.results.summary import summary
 from surveysim.results.tables import (
@@ -57,6 +58,11 @@ def print_result(result: SurveyResult, directory: Path, verbose: bool = False) -
             show_table(console, metrics)
             for line in metric_notes(content["metrics"]):
                 console.say(line)
+    if "spectra" in content:
+        show_table(console, band_power_table(content["spectra"]))
+        show_table(console, split_table(content["spectra"]))
+        for line in split_sentences(content["spectra"]):
+            console.say(f"  {line}")
     if result.unscored:
         console.say(f"Not scored: {result.unscored}")
     if verbose:

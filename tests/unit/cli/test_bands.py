@@ -100,7 +100,7 @@ def interrupt(monkeypatch, after):
     monkeypatch.setattr(bands, "stopping", stopping)
 
 
-@pytest.mark.parametrize("after", [1, 5])
+@pytest.mark.parametrize("after", [1, pytest.param(5, marks=pytest.mark.slow)])
 def test_an_interrupted_run_is_resumed(call, camera, monkeypatch, after):
     """In the first band, and in the second: the same files as of a run that never stopped."""
     assert call("run", camera, *QUICK, "--out", "whole") == (0, "", "")

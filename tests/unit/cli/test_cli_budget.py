@@ -41,6 +41,7 @@ def test_budget_by_forecast(call, scene, monkeypatch):
     assert "holds results of 'surveysim budget --forecast'" in refused(call, "budget", scene, "--out", out)
 
 
+@pytest.mark.slow
 def test_budget_by_simulation(call, scene):
     out = scene.parent / "out"
     arguments = ("budget", scene, "--out", out, "--workers", 1, "--no-figures")

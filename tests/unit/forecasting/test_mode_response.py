@@ -51,15 +51,16 @@ def waves(n: int = 7) -> np.ndarray:
 # ---------------------------------------------------------------- apodization
 
 
-@pytest.mark.parametrize("rows", [1, 5])
-def test_apodized_sums_are_the_double_loop(rows):
+@pytest.mark.parametrize(("rows", "filtered"), [(1, False), (5, False), (5, True)])
+def test_apodized_sums_are_the_double_loop(rows, filtered):
     rng = np.random.default_rng(1)
     transfer = rng.standard_normal(9)
     frequency, at = rng.uniform(-4, 4, 30), rng.uniform(-3, 3, 5)  # up to 7, beyond the table's 4
     strength, power, (mean, loose) = rng.random((rows, 30)), rng.random((3, 30)), rng.random((2, 30))
     losses = rng.dirichlet(np.ones(4))[:3], rng.standard_normal((5, 3)), rng.standard_normal((3, 30))
-    found = apodized_sums(strength, power, frequency, at, transfer, 2.0, mean, loose, *losses)
-    expected = naive.apodized_sums(strength, power, frequency, at, transfer, 2.0, mean, loose, *losses)
+    removed = rng.standard_normal((5, 30)) if filtered else np.zeros((0, 0))
+    found = apodized_sums(strength, power, frequency, at, transfer, 2.0, mean, loose, *losses, removed)
+    expected = naive.apodized_sums(strength, power, frequency, at, transfer, 2.0, mean, loose, *losses, removed)
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 

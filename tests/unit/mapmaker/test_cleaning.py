@@ -7,11 +7,15 @@ import pytest
 
 from mapmaker.cleaning import (
     ALGORITHMS,
+    TIME_FILTERS,
+    HighpassOptions,
     LocalOptions,
+    NotchOptions,
     PcaOptions,
     PolynomialOptions,
     SpectralOptions,
     TemplateOptions,
+    TimePolynomialOptions,
     WindOptions,
     clean,
     detectors_needed,
@@ -31,6 +35,9 @@ CHOSEN = dict.fromkeys(["none", *TEMPLATES], TEMPLATE_OPTIONS) | {
     "pca": PcaOptions(3.0),
     "local": LocalOptions(neighbour_radius=10.0),
     "spectral": SpectralOptions(np.random.default_rng(7).standard_normal((2, 25, N_SAMP))),
+    "highpass": HighpassOptions(0.05, 1.0),
+    "notch": NotchOptions((0.2,), (0.0,), 1.0),
+    "time_polynomial": TimePolynomialOptions(2),
 }
 FITTED = ["average", "planar", "quadratic", "polynomial", "wind"]
 
@@ -129,7 +136,7 @@ def test_value_not_finite_outside_scans_does_not_matter():
 
 
 @pytest.mark.parametrize("stuck_at_mk", [0.0, 40.1])
-@pytest.mark.parametrize("name", [name for name in ALGORITHMS if name != "none"])
+@pytest.mark.parametrize("name", [name for name in ALGORITHMS if name not in ("none", *TIME_FILTERS)])
 def test_scan_with_a_dead_detector_is_discarded(name, stuck_at_mk):
     data = _data()
     data[3, 50:90] = stuck_at_mk
@@ -139,7 +146,7 @@ def test_scan_with_a_dead_detector_is_discarded(name, stuck_at_mk):
     assert np.isfinite(cleaned.data_mk).all() and cleaned.iterations[1] == 0
 
 
-@pytest.mark.parametrize("name", [name for name in ALGORITHMS if name != "none"])
+@pytest.mark.parametrize("name", [name for name in ALGORITHMS if name not in ("none", *TIME_FILTERS)])
 def test_all_zero_scan_is_discarded(name):
     data = _data()
     data[:, 50:90] = 0
@@ -162,6 +169,8 @@ def test_unconverged_scans_are_discarded_and_counted(name):
 def test_templates_taken_are_counted(name):
     taken = {"none": 0, "average": 1, "planar": 3, "quadratic": 6, "polynomial": 6, "wind": 1, "pca": 1, "local": 1}
     taken["spectral"] = 2  # one for each other band
+    # Cosines below the corner in scans of 50, 40 and 45 samples, the cosine and sine of a line, two powers.
+    taken |= {"highpass": [4, 3, 4], "notch": 2, "time_polynomial": 2}
     cleaned = clean(name, _data(), BOUNDS, _focal_plane(), options=CHOSEN[name])
     np.testing.assert_array_equal(cleaned.removed, taken[name])
     assert (cleaned.iterations > 0).all() == (name in FITTED)
@@ -181,9 +190,10 @@ def test_each_detector_has_its_own_bands():
 @pytest.mark.parametrize("name", [name for name in ALGORITHMS if name != "spectral"])
 def test_detectors_needed(name):
     needed = detectors_needed(name, CHOSEN[name])
-    assert needed == {"none": 1, "planar": 4, "quadratic": 7, "polynomial": 8, "pca": 11}.get(name, 2)
+    alone = dict.fromkeys(("none", *TIME_FILTERS), 1)
+    assert needed == (alone | {"planar": 4, "quadratic": 7, "polynomial": 8, "pca": 11}).get(name, 2)
     clean(name, _data(n_det=needed), BOUNDS, _focal_plane(needed), options=CHOSEN[name])
-    if name != "none":
+    if name not in alone:
         with pytest.raises(ValueError, match="at least"):
             clean(name, _data(n_det=needed - 1), BOUNDS, _focal_plane(needed - 1), options=CHOSEN[name])
 
@@ -252,7 +262,8 @@ def test_options_out_of_range(options):
 def test_bad_arguments_say_what_was_found():
     data, focal_plane = _data(), _focal_plane()
     with pytest.raises(
-        ValueError, match="'cubic', allowed: none, average, planar, quadratic, polynomial, wind, pca, local, spectral"
+        ValueError,
+        match="'cubic', allowed: none, average, planar, quadratic, polynomial, wind, pca, local, spectral, highpass",
     ):
         clean("cubic", data, BOUNDS, focal_plane, options=TEMPLATE_OPTIONS)
     with pytest.raises(ValueError, match="options of 'pca' must be PcaOptions, got TemplateOptions"):

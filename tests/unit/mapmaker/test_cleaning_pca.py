@@ -217,3 +217,85 @@ def test_memory_of_many_detectors(monkeypatch):
     assert cleaned.kept.all() and cleaned.removed[0] == 3
     singular[:3] = 0
     np.testing.assert_allclose(cleaned.data_mk, _planted(singular, n_det, n_samp), atol=1e-6)
+
+
+def _gram_spectrum(data):
+    block = data - data.mean(axis=1, keepdims=True)
+    return np.linalg.eigh(block @ block.T)
+
+
+def _white_under_modes(n_mode, n_det=60, n_samp=400, seed=8):
+    rng = np.random.default_rng(seed)
+    strong = rng.standard_normal((n_det, n_mode)) @ (3 * rng.standard_normal((n_mode, n_samp)))
+    return strong + rng.standard_normal((n_det, n_samp))
+
+
+@pytest.mark.parametrize(
+    "options", [PcaOptions(criterion="modes", modes=3), PcaOptions(criterion="variance", variance=0.9)]
+)
+def test_leading_modes_are_projected_out(options):
+    """A fixed number, or the fewest with a share of the variance, by the eigenvectors of the covariance."""
+    data = _white_under_modes(5)
+    values, vectors = _gram_spectrum(data)
+    held = np.cumsum(values[::-1]) / values.sum()
+    n_modes = 3 if options.modes else 1 + np.argmax(held >= 0.9)
+    assert n_modes == (3 if options.modes else 5)
+    leading = vectors[:, -n_modes:]
+    block = data - data.mean(axis=1, keepdims=True)
+    cleaned = clean("pca", data, np.array([[0, 400]]), _focal_plane(60), options=options)
+    np.testing.assert_allclose(cleaned.data_mk, block - leading @ (leading.T @ block), atol=1e-11)
+    assert cleaned.removed[0] == n_modes
+
+
+@pytest.mark.parametrize(("n_det", "n_samp"), [(60, 400), (150, 100)])
+@pytest.mark.parametrize("n_mode", [0, 1, 6])
+def test_marchenko_pastur_finds_the_planted_modes(n_det, n_samp, n_mode):
+    """White noise alone exceeds the edge in 17 % of the draws (Tracy & Widom 1996): in 3.4 +- 1.7 of 20."""
+    options, bounds, plane = PcaOptions(criterion="marchenko_pastur"), np.array([[0, n_samp]]), _focal_plane(n_det)
+    counts = [
+        clean("pca", _white_under_modes(n_mode, n_det, n_samp, seed), bounds, plane, options=options).removed[0]
+        - n_mode
+        for seed in range(20)
+    ]
+    assert min(counts) >= 0 and sum(counts) <= 10
+
+
+def test_marchenko_pastur_edge_is_that_of_its_law():
+    """An eigenvalue just below the edge of the others stays, one just above goes."""
+    n_det, n_samp = 50, 200
+    rest = np.full(n_det - 1, 1.0)
+    edge = (1 + np.sqrt(n_det / n_samp)) ** 2
+    alone = edge * (n_det - 1) / (n_det - edge)  # x = edge (x + n_det - 1) / n_det
+    options = PcaOptions(criterion="marchenko_pastur")
+    counts = [
+        pca.count_modes(np.append(rest, factor * alone), options, n_det=n_det, n_samp=n_samp)
+        for factor in (0.999, 1.001)
+    ]
+    assert counts == [0, 1]
+
+
+def test_criteria_count_after_templates_too():
+    """Earlier cleaning leaves fewer dimensions: white noise less its quadratic templates has no mode above the edge."""
+    plane, bounds = _focal_plane(60), np.array([[0, 400]])
+    once = clean(
+        "quadratic", 30 + _white_under_modes(0), bounds, plane, options=TemplateOptions(1e-8, 100, np.ones(60))
+    )
+    again = clean("pca", once.data_mk, bounds, plane, options=PcaOptions(criterion="marchenko_pastur"))
+    assert again.kept.all() and again.removed[0] <= 1
+    assert clean("pca", once.data_mk, bounds, plane, options=PcaOptions(criterion="modes", modes=53)).kept.all()
+    assert not clean("pca", once.data_mk, bounds, plane, options=PcaOptions(criterion="modes", modes=54)).kept.any()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"criterion": "kaiser"}, "criterion: found 'kaiser'; one of 'sigma_cut', 'modes', 'variance', "),
+        ({"criterion": "modes"}, "modes: found None; an integer of at least 1 is expected"),
+        ({"criterion": "modes", "modes": 0}, "modes: found 0; an integer of at least 1 is expected"),
+        ({"criterion": "variance", "variance": 1.0}, "variance: found 1.0; a finite number above 0 and below 1"),
+        ({"sigma_cut": 3.0, "modes": 2}, "modes: found a value with criterion 'sigma_cut'; None is expected"),
+    ],
+)
+def test_criteria_out_of_range(options, message):
+    with pytest.raises(ValueError, match=message):
+        PcaOptions(**options)

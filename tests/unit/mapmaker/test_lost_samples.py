@@ -8,7 +8,7 @@ import pytest
 
 import mapmaker as mm
 from mapmaker.errors import InputError
-from mapmaker.timestreams import timestream_file
+from mapmaker.formats.hdf5 import timestream_file
 from tests import naive
 from tests.unit.mapmaker.test_timestreams import N_DET, N_SAMP, part, path, streams  # noqa: F401
 

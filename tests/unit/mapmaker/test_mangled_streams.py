@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from mapmaker.binning import read_fits
-from mapmaker.timestreams import FocalPlane, Timestreams, read_timestreams, timestream_file, write_timestreams
+from mapmaker.formats import read_timestreams, write_timestreams
+from mapmaker.formats.hdf5 import timestream_file
+from mapmaker.timestreams import FocalPlane, Timestreams
 from tests.refusals import refused
 
 N_DET, N_SAMP = 4, 50

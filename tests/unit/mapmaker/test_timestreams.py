@@ -5,14 +5,9 @@ import numpy as np
 import pytest
 
 from mapmaker.errors import InputError
-from mapmaker.timestreams import (
-    FocalPlane,
-    Timestreams,
-    read_timestreams,
-    scan_bounds,
-    timestream_file,
-    write_timestreams,
-)
+from mapmaker.formats import read_timestreams, write_timestreams
+from mapmaker.formats.hdf5 import timestream_file
+from mapmaker.timestreams import FocalPlane, Timestreams, scan_bounds
 
 N_DET, N_SAMP = 5, 60
 NAMES = ("data", "time_s", "ra_deg", "dec_deg", "array_angle_deg", "scan", "x_arcmin", "y_arcmin")

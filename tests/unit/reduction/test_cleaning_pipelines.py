@@ -20,6 +20,13 @@ from surveysim.scene.scene import load_scene
 from surveysim.survey.coadds import row_names
 from tests.scenes import write_scene
 
+FILTERS = {
+    "cleaning.highpass_frequency": "0.3 Hz",
+    "cleaning.highpass_order": 2,
+    "cleaning.notch_frequencies": "[2.1] Hz",
+    "cleaning.notch_widths": "[0] Hz",
+    "cleaning.time_order": 2,
+}
 COMPARE = {"cleaning.compare": ["planar", ["average", "local"], "wind"], "cleaning.neighbour_radius": 1.2}
 
 
@@ -66,6 +73,46 @@ def test_one_pipeline_is_no_choice(path):
         ({"cleaning.algorithm": "pca"}, "cleaning.sigma_cut: missing; 'pca' needs it"),
         ({"cleaning.algorithm": ["average", "local"]}, "cleaning.neighbour_radius: missing; 'local' needs it"),
         ({"cleaning.compare": ["polynomial"], "cleaning.order": 2}, "cleaning.regions: missing; 'polynomial' needs it"),
+        (
+            {"cleaning.algorithm": "pca", "cleaning.pca_criterion": "modes"},
+            "cleaning.pca_modes: missing; pca_criterion 'modes' needs it",
+        ),
+        (
+            {"cleaning.algorithm": "pca", "cleaning.pca_criterion": "variance"},
+            "cleaning.pca_variance: missing; pca_criterion 'variance' needs it",
+        ),
+        ({"cleaning.pca_criterion": "marchenko_pastur"}, "found 'marchenko_pastur' without 'pca'; that algorithm is"),
+        ({"cleaning.compare": ["highpass"]}, "cleaning.highpass_frequency: missing; 'highpass' needs it"),
+        ({"cleaning.algorithm": ["average", "notch"]}, "cleaning.notch_frequencies: missing; 'notch' needs it"),
+        ({"cleaning.compare": ["time_polynomial"]}, "cleaning.time_order: missing; 'time_polynomial' needs it"),
+        (
+            {
+                "cleaning.compare": ["notch"],
+                "cleaning.notch_frequencies": "[1, 2] Hz",
+                "cleaning.notch_widths": "[0] Hz",
+            },
+            "cleaning.notch_widths: found 1 values; 2, one for each of notch_frequencies, are expected",
+        ),
+        (
+            {
+                "cleaning.compare": ["notch"],
+                "cleaning.notch_frequencies": "[4.9] Hz",
+                "cleaning.notch_widths": "[1] Hz",
+            },
+            "cleaning.notch_frequencies: found a band from 4.4 to 5.4 Hz; one from 0 to 5 Hz, half of",
+        ),
+        (
+            {"cleaning.compare": ["notch"], "cleaning.notch_frequencies": "[2] Hz", "cleaning.notch_widths": "[3] Hz"},
+            "cleaning.notch_widths: found 3 Hz in 1 bands; 2.17 Hz or less in all is expected for scans of 60 samples",
+        ),
+        (
+            {"cleaning.compare": ["highpass"], "cleaning.highpass_frequency": "0.08 Hz"},
+            "found 0.08 Hz; from 0.0833333 Hz, half a cycle in scan.duration, to less than 5 Hz, half of",
+        ),
+        (
+            {"cleaning.compare": ["time_polynomial"], "cleaning.time_order": 20, "scan.duration": "1.5 s"},
+            "cleaning.time_order: found 20 with scans of 15 samples; 13 or less is expected",
+        ),
         ({"cleaning.compare": ["average"]}, "cleaning.compare: found 'average' more than once"),
         ({"cleaning.compare": ["median"]}, "cleaning.compare.0: found 'median'; one of 'none', 'average'"),
         ({"cleaning.compare": [[]]}, "cleaning.compare.0: found []; one of"),
@@ -119,6 +166,29 @@ def test_detectors_that_steps_need(path):
     section = load_scene(path, {"cleaning.order": 3, "cleaning.regions": 2, "cleaning.sigma_cut": 3.0}).cleaning
     needed = [needed_detectors(section, name) for name in ("none", "average", "quadratic", "polynomial", "pca")]
     assert needed == [1, 2, 7, 22, 11]
+    filters = load_scene(path, FILTERS).cleaning
+    assert [needed_detectors(filters, name) for name in ("highpass", "notch", "time_polynomial")] == [1, 1, 1]
+
+
+def test_filters_are_compared_and_their_signal_passes(path):
+    """Each pipeline has its scores and transfer function; a scan's fit begins with what filtered streams gave."""
+    steps = [["highpass", "average"], ["average", "notch"], ["time_polynomial", "notch", "average"]]
+    result = run(load_scene(path, FILTERS | {"cleaning.compare": steps}), engine=SERIAL)
+    assert {"highpass+average", "average+notch", "time_polynomial+notch+average"} <= set(result.scores)
+    columns = dict(zip(row_names(result.setup.analysis), np.array(result.coadds.rows).T, strict=True))
+    # Cosines of 6 s below 0.3 Hz, one line, two powers, and one template.
+    found = [columns[f"removed_{'+'.join(names)}"].max() for names in steps]
+    assert found == [3 + 1, 1 + 2, 2 + 2 + 1]
+    selected = result.setup.analysis.region.selected
+    passed = [result.scores[name].transfer_function.transmission[selected] for name in ("actual", "highpass+average")]
+    assert (passed[1] < passed[0]).all() and (passed[1] > 0.1).all()
+
+
+def test_filters_leave_the_actual_data_alone(path):
+    """Bits of a data set do not depend on the pipelines that it is compared with."""
+    alone = run(load_scene(path, {"observations": 2}), engine=SERIAL)
+    beside = run(load_scene(path, FILTERS | {"observations": 2, "cleaning.compare": ["highpass"]}), engine=SERIAL)
+    np.testing.assert_array_equal(alone.coadds.sums[0], beside.coadds.sums[0])
 
 
 def test_comparing_changes_nothing_of_the_actual_data(path, compared, tmp_path):

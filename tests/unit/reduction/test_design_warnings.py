@@ -48,6 +48,7 @@ DAISY |= {"scan.duration": "1 min", "scan.chunk": "10 s"}
 TRACK = {f"scan.{key}": None for key in ("speed", "scans", "turnaround", "step", "duration")}
 TRACK |= {"scan.pattern": "track", "scan.chunk": "10 s", "score": None}
 TRACK_TIMES = {"long.csv": 50.1, "short.csv": 49.9}
+SCORED_TRACK = {key: value for key, value in TRACK.items() if key != "score"} | {"scan.track_table": "short.csv"}
 # The small scene: samples 24 arcsec apart, a beam of 60 and pixels of 30; scans of 24 arcmin, 9 arcmin across, a dither
 # of 2 arcmin, and an array of 2.67 arcmin.
 CASES = {
@@ -75,6 +76,11 @@ CASES = {
         {"score.size": "13.8 arcmin"},
         {"score.size": "13.6 arcmin"},
         "score.size: the scored patch of 13.8 arcmin is larger than the 13.7 arcmin that scans in both directions",
+    ),
+    "turning raster": (
+        NIGHTS | {"schedule.nights": 16, "field.dec": "19.3 deg", "sky": None},
+        NIGHTS | {"schedule.nights": 16, "field.dec": "19 deg", "sky": None},
+        "scan.pattern: along the scans of observation",
     ),
     "optics": (
         {"optics.elements": [ELEMENT]},
@@ -128,6 +134,11 @@ def path(tmp_path):
 
 
 MORE = {
+    "track": (
+        SCORED_TRACK | {"score.size": "4.7 arcmin"},
+        SCORED_TRACK | {"score.size": "4.6 arcmin"},
+        "score.size: the scored patch of 4.7 arcmin is larger than the 4.67 arcmin that the boresight reaches along an",
+    ),
     "fastest": (
         DAISY | {"scan.sample_rate": "7.5 Hz"},
         DAISY | {"scan.sample_rate": "7.6 Hz"},

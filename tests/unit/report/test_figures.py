@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from mapmaker.geometry import MapGeometry, wcs
+from mapmaker.report.figures import sky_ticks
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.report.figures import survey as figures
 from surveysim.report.figures.observations import timestream_psd
 from surveysim.report.figures.run_time import time_figure
-from surveysim.report.figures.sky_map import map_planes, sky_ticks
+from surveysim.report.figures.sky_map import map_planes
 from surveysim.report.figures.spectra import cumulative_sensitivity, map_psds
 from surveysim.results.results import survey_result
 from surveysim.scene.scene import load_scene

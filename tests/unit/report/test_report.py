@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from mapmaker.report.page import units
 from surveysim import load_scene, run, run_sweep
 from surveysim.api import forecast_sweep
 from surveysim.report.figures.survey import TITLES
 from surveysim.report.html.captions import RUN
-from surveysim.report.html.page import NoResultsError, units, write_report
+from surveysim.report.html.page import NoResultsError, write_report
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.numbers import as_known, count, duration, number, short, with_error
 from tests.pages import read_page, rows_of, value_of

@@ -101,7 +101,7 @@ def test_a_run_and_a_forecast(tmp_path):
         assert alone.scores["actual"].band.sigma_ukcmb2 == both.scores["actual"].band.sigma_ukcmb2
 
 
-@pytest.mark.parametrize("after", [1, 5])
+@pytest.mark.parametrize("after", [1, pytest.param(5, marks=pytest.mark.slow)])
 def test_an_interrupted_sweep_is_resumed(call, tmp_path, monkeypatch, after):
     """In the first band, and in the second, whose first band is finished."""
     monkeypatch.chdir(tmp_path)

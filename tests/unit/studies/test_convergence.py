@@ -92,6 +92,7 @@ def test_numerics_are_refused_by_name(path, key, value):
 # ---------------------------------------------------------------- end to end
 
 
+@pytest.mark.slow
 def test_every_setting_has_a_row_with_a_score_or_a_reason(result, path):
     settings = ladders(load_scene(path, {"observations": 8}), 4)
     assert [row.setting for row in result.rows] == list(settings)
@@ -102,6 +103,7 @@ def test_every_setting_has_a_row_with_a_score_or_a_reason(result, path):
     assert "white_noise_above" in of_parameter(result.rows, "sample rate")["5 Hz"].note
 
 
+@pytest.mark.slow
 def test_parts_of_a_survey_score_the_whole_of_it(result):
     """Not rescaled, sigma(A) of a quarter would be four times that of the whole; errors are a third at most."""
     rows = of_parameter(result.rows, "observations")
@@ -113,6 +115,7 @@ def test_parts_of_a_survey_score_the_whole_of_it(result):
     assert rows["2"].cpu_s < rows["8"].cpu_s
 
 
+@pytest.mark.slow
 def test_seeds_are_pooled_as_far_as_they_are_allowed(result):
     assert result.seeds == 2
     own = of_parameter(result.rows, "observations")["8"]
@@ -121,6 +124,7 @@ def test_seeds_are_pooled_as_far_as_they_are_allowed(result):
     assert np.isfinite(result.scatter) and "scatter of 2 seeds" in own.note
 
 
+@pytest.mark.slow
 def test_precision_is_measured_far_below_the_monte_carlo_error(result):
     """float32 keeps 24 bits: what cleaning leaves of streams 1000 times larger is known to 1e-4."""
     row = of_parameter(result.rows, "precision")["float32"]
@@ -128,6 +132,7 @@ def test_precision_is_measured_far_below_the_monte_carlo_error(result):
     assert row.bias_error < 1e-3 * row.relative_error
 
 
+@pytest.mark.slow
 def test_better_look_ups_are_nearer_to_the_finest(result):
     rows = of_parameter(result.rows, "interpolation")
     assert abs(rows["linear"].bias) < 0.2 * abs(rows["nearest"].bias)
@@ -135,6 +140,7 @@ def test_better_look_ups_are_nearer_to_the_finest(result):
     assert rows["linear"].bias_error < 0.01 * rows["linear"].relative_error
 
 
+@pytest.mark.slow
 def test_other_draws_share_less_noise(result):
     """The layer of another step is drawn apart, all else is shared: far more than a look-up's 0.01 is left.
 
@@ -144,6 +150,7 @@ def test_other_draws_share_less_noise(result):
     assert max(rows[step].bias_error / rows[step].relative_error for step in ("4", "2", "1")) > 0.3
 
 
+@pytest.mark.slow
 def test_files_hold_all_rows(result, tmp_path, capsys):
     write_accuracy(tmp_path, result, figures=True)
     table = Table.read(tmp_path / "accuracy.ecsv", format="ascii.ecsv")
@@ -166,6 +173,7 @@ def test_files_hold_all_rows(result, tmp_path, capsys):
         assert line in text
 
 
+@pytest.mark.slow
 def test_notebooks_show_the_recommended_settings(result):
     lines = repr(result).splitlines()
     assert lines[0] == f"AccuracyResult of {result.scene.name}: {len(result.rows)} settings"
@@ -175,6 +183,7 @@ def test_notebooks_show_the_recommended_settings(result):
         assert any(line.startswith(item.parameter) and item.label in line for line in lines)
 
 
+@pytest.mark.slow
 def test_the_figure_marks_the_scene_and_its_front(result):
     for panel in accuracy_figure(result).panels:
         assert panel.x_log and panel.y_log

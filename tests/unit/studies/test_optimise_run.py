@@ -122,6 +122,7 @@ def test_a_finished_search_is_not_resumed(analytic):
         optimise(other, out, overrides={"observations": 5}, engine=SERIAL)
 
 
+@pytest.mark.slow
 def test_simulation_after_a_forecast(write, tmp_path):
     """A search by forecast alone can be resumed: its designs are then simulated, and none is forecast again."""
     path = write(WHITE + ANALYTIC)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mapmaker.cleaning.responsivity import MOST_GRAM
-from mapmaker.timestreams import read_timestreams
+from mapmaker.formats import read_timestreams
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError

@@ -1,0 +1,1 @@
+"""From time-stream files to maps: what `mapmaker clean-and-map` does, file by file."""

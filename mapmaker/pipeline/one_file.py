@@ -1,0 +1,243 @@
+"""Cleaning of one file: usable data, cleaning, tests of the cleaned streams, and weights."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mapmaker.cleaning import Cleaned, clean_in_order
+from mapmaker.errors import InsufficientDataError
+from mapmaker.files import one_line
+from mapmaker.geometry import MapGeometry, mean_direction, pixel_centres, pixel_indices, plane_offsets
+from mapmaker.lost_samples import fill_flagged
+from mapmaker.pipeline.cleaned_tests import find_glitches, find_jumps, mean_square, white_noise
+from mapmaker.pipeline.config import Config, FlagSection
+from mapmaker.pipeline.dropped import (
+    CLEANING,
+    DETECTOR,
+    DISCARDED,
+    FILE,
+    GLITCH,
+    JUMP,
+    MOST_LOST,
+    NAMES,
+    NO_SCAN,
+    NOISY,
+    QUIET,
+    SAMPLES,
+    SCAN,
+    Dropped,
+)
+from mapmaker.pipeline.usable import Usable, in_scans, leave_out, mostly_lost, usable_data, without_bad_scans
+from mapmaker.timestreams import Timestreams
+
+_MOST_PLACES = 10_000  # along a side of the map of places
+_CIRCLE = 101  # pixels across a spared circle
+
+
+class UnusableFileError(InsufficientDataError):
+    """A file that nothing is left of; `dropped` has the reason, and what was left out before."""
+
+    def __init__(self, dropped: tuple[Dropped, ...]) -> None:
+        super().__init__(f"{dropped[-1].file}: {dropped[-1].reason} ({dropped[-1].detail})")
+        self.dropped = dropped
+
+
+@dataclass(frozen=True)
+class CleanedFile:
+    """One file after cleaning.
+
+    Attributes
+    ----------
+    name
+    labels : (n_det,)
+        Names of the detectors, or their numbers in the file.
+    streams
+        Streams of the detectors that are used; flags are all lost samples. `data_mk` is cleaned, and 0 in discarded
+        scans.
+    bounds : (n_scan, 2)
+        Scans that are used.
+    used : (n_det, n_scan) bool
+        Scans of each detector that are in the map.
+    variance_mk2, white_mk : (n_det,)
+        Mean square of the cleaned samples, and white noise a sample.
+    found : (int, int)
+        Detectors and scans of the file.
+    dropped
+    """
+
+    name: str
+    labels: np.ndarray
+    streams: Timestreams
+    bounds: np.ndarray
+    used: np.ndarray
+    variance_mk2: np.ndarray
+    white_mk: np.ndarray
+    found: tuple[int, int]
+    dropped: tuple[Dropped, ...]
+
+
+def detector_labels(streams: Timestreams) -> np.ndarray:
+    """Names (n_det,) of the detectors, or their numbers in the file: detectors of several files are matched by them."""
+    names = streams.focal_plane.names
+    return np.arange(len(streams.data_mk)).astype(str) if names is None else names
+
+
+def clean_file(name: str, streams: Timestreams, config: Config) -> CleanedFile:
+    """Clean one file.
+
+    Raises
+    ------
+    UnusableFileError
+        For a file that nothing is left of.
+    """
+    labels = detector_labels(streams)
+    values, counts = np.unique(labels, return_counts=True)
+    if (counts > 1).any():
+        raise UnusableFileError((Dropped(name, FILE, NAMES, detail=str(values[counts > 1][0])),))
+    state = usable_data(name, streams, labels, config.flags)
+    spared, place = spared_samples(streams, config.flags), _places(streams)
+    glitches = np.zeros(streams.data_mk.shape, bool)
+    cleaned = _clean(streams, state, config)
+    for _ in range(config.flags.passes):
+        after, new = _tested(cleaned, streams, state, spared=spared, place=place, flags=config.flags)
+        if after is state:
+            break
+        glitches |= new
+        state = without_bad_scans(after)
+        cleaned = _clean(streams, state, config)
+    return _result(streams, state, cleaned, glitches)
+
+
+def _clean(streams: Timestreams, state: Usable, config: Config) -> Cleaned:
+    """Clean the live detectors; result and scans are those of `state`."""
+    if not len(state.bounds) or not state.live.any():
+        found = "no scan" if state.live.any() else "no detector"
+        raise UnusableFileError((*state.dropped, Dropped(state.name, FILE, NO_SCAN, detail=f"{found} is left")))
+    live = state.live
+    plane, lost = streams.focal_plane.subset(live), state.lost[live]
+    filled = fill_flagged(streams.data_mk[live], state.bounds, lost)
+    steps = [(step.algorithm, step.options()) for step in config.cleaning]
+    try:
+        return clean_in_order(steps, filled, state.bounds, plane)
+    except InsufficientDataError as error:
+        dropped = Dropped(state.name, FILE, CLEANING, detail=one_line(error))
+        raise UnusableFileError((*state.dropped, dropped)) from None
+
+
+def spared_samples(streams: Timestreams, flags: FlagSection) -> np.ndarray:
+    """Flags (n_det, n_samp) of the samples within the circles that are spared tests."""
+    found = np.zeros(streams.data_mk.shape, bool)
+    for circle in flags.spare:
+        geometry = MapGeometry(*circle.centre, 2 * circle.radius / _CIRCLE, _CIRCLE, _CIRCLE)
+        inside = np.hypot(*pixel_centres(geometry)) <= circle.radius
+        found |= np.append(inside.ravel(), False)[pixel_indices(geometry, streams)]
+    return found
+
+
+def _places(streams: Timestreams) -> np.ndarray:
+    """Pixel (n_det, n_samp) of each sample on a map of half beams; -1 off it."""
+    inside = in_scans(streams.scan_bounds, len(streams.time_s))
+    ra, dec = streams.ra_rad[inside], streams.dec_rad[inside]
+    centre, plane = mean_direction(ra, dec), streams.focal_plane
+    offsets = plane_offsets(MapGeometry(*centre, 1e-6, 1, 1), ra, dec)
+    reach = np.nanmax(np.abs(offsets)) + np.hypot(plane.x_rad, plane.y_rad).max()
+    side = max(plane.fwhm_rad / 2, 2 * reach / _MOST_PLACES)
+    n = int(np.ceil(2 * reach / side)) + 1
+    return pixel_indices(MapGeometry(*centre, side, n, n), replace(streams, flags=None))
+
+
+def _tested(
+    cleaned: Cleaned, streams: Timestreams, state: Usable, *, spared: np.ndarray, place: np.ndarray, flags: FlagSection
+) -> tuple[Usable, np.ndarray]:
+    """Test the cleaned streams of the live detectors; returns the state itself if nothing new is found, and glitches
+    (n_det, n_samp).
+    """
+    rows, after, glitches = np.flatnonzero(state.live), state, np.zeros(state.lost.shape, bool)
+    if "jumps" in flags.find:
+        window = _window(streams, state.bounds, flags.jump_window)
+        after = _without_jumps(cleaned, after, rows, window=window, n_sigma=flags.jump_sigma, spared=spared[rows])
+    if "glitches" in flags.find:
+        bounds = state.bounds[cleaned.kept]
+        glitches[rows] = find_glitches(
+            cleaned.data_mk,
+            after.lost[rows],
+            bounds,
+            n_sigma=flags.glitch_sigma,
+            spared=spared[rows],
+            place=place[rows],
+        )
+        if glitches.any():
+            after = replace(after, lost=after.lost | glitches)
+            after = leave_out(after, mostly_lost(after.lost, after.bounds, flags.max_lost), MOST_LOST)
+    if "noise" in flags.find and after is state:
+        after = _without_outlying_noise(cleaned, after, rows, flags.noise_ratio)
+    return after, glitches
+
+
+def _window(streams: Timestreams, bounds: np.ndarray, window_s: float) -> int:
+    """Samples before and after a jump: of a window, or of two beams where these are longer."""
+    step_s = float(np.median(np.diff(streams.time_s)))
+    crossings = []
+    for start, stop in bounds:
+        steps = np.diff(streams.dec_rad[start:stop]), np.diff(streams.ra_rad[start:stop])
+        speed = np.median(np.hypot(steps[0], steps[1] * np.cos(streams.dec_rad[start + 1 : stop]))) / step_s
+        crossings.append(streams.focal_plane.fwhm_rad / speed if speed > 0 else 0.0)
+    return max(4, round(max(window_s, 2 * float(np.median(crossings))) / step_s))
+
+
+def _without_jumps(
+    cleaned: Cleaned, state: Usable, rows: np.ndarray, *, window: int, n_sigma: float, spared: np.ndarray
+) -> Usable:
+    kept = np.flatnonzero(cleaned.kept)
+    at = find_jumps(
+        cleaned.data_mk, state.lost[rows], state.bounds[kept], window=window, n_sigma=n_sigma, spared=spared
+    )
+    if not at:
+        return state
+    details = {(int(rows[d]), int(kept[s])): text for (d, s), text in at.items()}
+    bad = np.zeros(state.left_out.shape, bool)
+    bad[tuple(np.array(list(details)).T)] = True
+    return leave_out(state, bad, JUMP, details)
+
+
+def _without_outlying_noise(cleaned: Cleaned, state: Usable, rows: np.ndarray, ratio: float) -> Usable:
+    noise = white_noise(cleaned.data_mk, state.lost[rows], state.bounds[cleaned.kept])
+    if not noise.any():
+        return state
+    middle, live, dropped = np.median(noise[noise > 0]), state.live.copy(), list(state.dropped)
+    samples = int(np.diff(state.bounds, axis=1).sum())
+    for d in np.flatnonzero((noise > ratio * middle) | (noise < middle / ratio)):
+        reason, detail = NOISY if noise[d] > middle else QUIET, f"{noise[d] / middle:.3g} times the median"
+        live[rows[d]] = False
+        dropped.append(Dropped(state.name, DETECTOR, reason, state.labels[rows[d]], samples=samples, detail=detail))
+    return replace(state, live=live, dropped=tuple(dropped)) if live.sum() < state.live.sum() else state
+
+
+def _result(streams: Timestreams, state: Usable, cleaned: Cleaned, glitches: np.ndarray) -> CleanedFile:
+    """Collect what is left of a file; raises UnusableFileError for no scan."""
+    rows, kept, dropped = np.flatnonzero(state.live), cleaned.kept, list(state.dropped)
+    lengths = np.diff(state.bounds, axis=1)[:, 0]
+    inside = in_scans(state.bounds, streams.data_mk.shape[1])
+    counts = glitches[:, inside].sum(axis=1)
+    dropped += [
+        Dropped(state.name, SAMPLES, GLITCH, state.labels[d], samples=int(counts[d])) for d in rows[counts[rows] > 0]
+    ]
+    dropped += [
+        Dropped(state.name, SCAN, DISCARDED, "", int(state.numbers[s]), int(lengths[s]) * len(rows))
+        for s in np.flatnonzero(~kept)
+    ]
+    if not kept.any():
+        raise UnusableFileError((*dropped, Dropped(state.name, FILE, NO_SCAN, detail="cleaning discarded all scans")))
+    lost, bounds = state.lost[rows], state.bounds[kept]
+    some = replace(streams, data_mk=cleaned.data_mk, focal_plane=streams.focal_plane.subset(rows), flags=lost)
+    return CleanedFile(
+        name=state.name,
+        labels=state.labels[rows],
+        streams=some,
+        bounds=bounds,
+        used=~state.left_out[rows][:, kept],
+        variance_mk2=mean_square(cleaned.data_mk, lost, bounds),
+        white_mk=white_noise(cleaned.data_mk, lost, bounds),
+        found=(len(state.labels), len(streams.scan_bounds)),
+        dropped=tuple(dropped),
+    )

@@ -1,0 +1,206 @@
+"""Cleaning and mapping of many files, one at a time."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mapmaker.errors import InputError, InsufficientDataError
+from mapmaker.files import one_line
+from mapmaker.formats import read_timestreams
+from mapmaker.pipeline.config import Config
+from mapmaker.pipeline.dropped import FILE, OFF_MAP, UNREADABLE, Dropped
+from mapmaker.pipeline.field import Field, extended, map_geometry, stated_field
+from mapmaker.pipeline.noise_spectra import NoiseSpectra, noise_spectra
+from mapmaker.pipeline.one_file import CleanedFile, UnusableFileError, clean_file
+from mapmaker.pipeline.splits import make_splits
+from mapmaker.pipeline.sums import MapSums
+
+
+@dataclass(frozen=True)
+class FileRecord:
+    """What became of one file.
+
+    Attributes
+    ----------
+    name
+    used
+        Whether it is in the map.
+    n_det, n_det_used, n_scan, n_scan_used
+    samples, samples_used
+        Samples within scans of all detectors, and those in the map.
+    weight
+        Mean weight of a sample; 0 for files that are not used.
+    """
+
+    name: str
+    used: bool
+    n_det: int = 0
+    n_det_used: int = 0
+    n_scan: int = 0
+    n_scan_used: int = 0
+    samples: int = 0
+    samples_used: int = 0
+    weight: float = 0.0
+
+
+@dataclass(frozen=True)
+class DetectorRecord:
+    """A detector in one file: noise a sample, before and after the low frequencies, weight and scans."""
+
+    file: str
+    detector: str
+    noise_mk: float
+    white_mk: float
+    weight: float
+    scans: int
+    samples: int
+
+
+@dataclass(frozen=True)
+class Result:
+    """Maps of all files, and what was left out of them."""
+
+    config: Config
+    sums: MapSums
+    fwhm_rad: float
+    spectra: NoiseSpectra | None
+    files: tuple[FileRecord, ...]
+    detectors: tuple[DetectorRecord, ...]
+    dropped: tuple[Dropped, ...]
+
+
+Show = Callable[[str, int], None]  # told what is done, and the number of files that are finished
+
+
+def clean_and_map(paths: Sequence[str | Path], config: Config, show: Show = lambda what, done: None) -> Result:
+    """Clean files of time-streams and map them.
+
+    One file is in memory at a time. Files are read twice, unless the configuration states centre and size of the map.
+
+    Parameters
+    ----------
+    paths
+    config
+    show
+        Function that shows the progress.
+
+    Raises
+    ------
+    InputError
+        If nothing of any file can be used, with a line for each file; and for a map that is too large.
+    """
+    names = _names(paths)
+    bad: dict[str, tuple[Dropped, ...]] = {}
+    field = _field(paths, names, config, bad, show)
+    geometry = map_geometry(field, config.map)
+    good = [(path, name) for path, name in zip(paths, names, strict=True) if name not in bad]
+    splits = make_splits(config.jackknives, len(good))
+    sums = MapSums(geometry, splits, config.map.weights == "uniform", config.map.healpix_nside)
+    files, detectors, dropped = {}, [], [item for items in bad.values() for item in items]
+    for number, (path, name) in enumerate(good):
+        try:
+            item = clean_file(name, read_timestreams(path), config)
+            weight = sample_weights(item, config.map.weights)
+            dropped += [*item.dropped, *sums.add(item, weight, (number, len(good)))]
+        except InputError as error:
+            dropped += _of_error(path, name, error)
+        else:
+            files[name] = _file_record(item, weight)
+            detectors += _detector_records(item, weight)
+        show("cleaning", number + 1)
+    if not sums.hits[0].any():
+        raise _nothing_left(dropped)
+    records = tuple(files.get(name, FileRecord(name, False)) for name in names)
+    spectra = noise_spectra(sums, field.fwhm_rad)
+    return Result(config, sums, field.fwhm_rad, spectra, records, tuple(detectors), tuple(dropped))
+
+
+def _names(paths: Sequence[str | Path]) -> list[str]:
+    """Names of the files in tables: as short as they differ."""
+    short = [Path(path).name for path in paths]
+    names = short if len(set(short)) == len(short) else [str(path) for path in paths]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"{twice}: found twice among the files; different files are expected")
+    return names
+
+
+def _field(
+    paths: Sequence[str | Path], names: Sequence[str], config: Config, bad: dict[str, tuple[Dropped, ...]], show: Show
+) -> Field:
+    """Read the pointing of all files, until place and size of the map are known; adds files that can't be used."""
+    field = None
+    stated = config.map.centre and config.map.size
+    for number, (path, name) in enumerate(zip(paths, names, strict=True)):
+        try:
+            streams = read_timestreams(path)
+            field = stated_field(streams, config.map) if stated else extended(field, streams, config.map)
+        except InputError as error:
+            bad[name] = _of_error(path, name, error)
+        show("reading", number + 1)
+        if stated and field:
+            break
+    if field is None:
+        raise _nothing_left([item for items in bad.values() for item in items])
+    return field
+
+
+def _of_error(path: str | Path, name: str, error: InputError) -> tuple[Dropped, ...]:
+    if isinstance(error, UnusableFileError):
+        return error.dropped
+    reason = OFF_MAP if "from the centre of the map" in str(error) else UNREADABLE
+    return (Dropped(name, FILE, reason, detail=one_line(error).removeprefix(f"{path}: ")),)
+
+
+def _nothing_left(dropped: Sequence[Dropped]) -> InsufficientDataError:
+    reasons = [f"{item.file}: {item.reason}: {item.detail}" for item in dropped if item.what == FILE]
+    return InsufficientDataError("\n".join(["nothing is left to map", *reasons]))
+
+
+def sample_weights(item: CleanedFile, kind: str) -> np.ndarray:
+    """Weight (n_det,) of a sample of each detector [1/mK^2], or 1 for "uniform"."""
+    if kind == "uniform":
+        return np.ones(len(item.variance_mk2))
+    seen = item.variance_mk2 > 0
+    weight = np.divide(1.0, item.variance_mk2, out=np.zeros(len(seen)), where=seen)
+    if kind == "file" and seen.any():
+        return np.full(len(weight), 1 / item.variance_mk2[seen].mean())
+    return weight
+
+
+def _used_samples(item: CleanedFile) -> np.ndarray:
+    """Samples (n_det,) that are not lost, in the scans that are used."""
+    lost = item.streams.flags
+    counts = [(~lost[:, a:b]).sum(axis=1) * used for (a, b), used in zip(item.bounds, item.used.T, strict=True)]
+    return np.sum(counts, axis=0)
+
+
+def _file_record(item: CleanedFile, weight: np.ndarray) -> FileRecord:
+    n_det, n_scan = item.found
+    used = _used_samples(item)
+    return FileRecord(
+        name=item.name,
+        used=True,
+        n_det=n_det,
+        n_det_used=len(item.labels),
+        n_scan=n_scan,
+        n_scan_used=len(item.bounds),
+        samples=n_det * int((item.streams.scan >= 0).sum()),
+        samples_used=int(used.sum()),
+        weight=float(np.average(weight, weights=used)) if used.any() else 0.0,
+    )
+
+
+def _detector_records(item: CleanedFile, weight: np.ndarray) -> list[DetectorRecord]:
+    columns = zip(
+        item.labels.tolist(),
+        np.sqrt(item.variance_mk2).tolist(),
+        item.white_mk.tolist(),
+        weight.tolist(),
+        item.used.sum(axis=1).tolist(),
+        _used_samples(item).tolist(),
+        strict=True,
+    )
+    return [DetectorRecord(item.name, *row) for row in columns]

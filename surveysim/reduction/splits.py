@@ -1,0 +1,159 @@
+"""Splits of a survey into parts: which observation, scan and detector belongs to which part.
+
+Parts of the split by night are whole nights, or single observations without dates, dealt out in turn. Turns rotate:
+with an even number of parts one part would otherwise have all scans along right ascension. The rule does not depend on
+the length of a survey. The halves of the array lie on both sides of its median along x.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapmaker.timestreams import FocalPlane
+from surveysim.runtime.errors import SceneError
+from surveysim.runtime.numbers import plural
+from surveysim.scene.scene import Scene
+from surveysim.scene.spectra import ARRAY, DIRECTION, FEWEST_OBSERVATIONS, NIGHT
+
+_HALVES = {DIRECTION: ("there", "back"), ARRAY: ("x_low", "x_high")}
+
+
+@dataclass(frozen=True)
+class Split:
+    """A split of the data into parts, whose maps are `maps` among all split maps."""
+
+    name: str
+    parts: tuple[str, ...]
+    first: int
+
+    @property
+    def maps(self) -> slice:
+        """Places of the maps of its parts."""
+        return slice(self.first, self.first + len(self.parts))
+
+
+@dataclass(frozen=True, eq=False)
+class SurveySplits:
+    """Splits of a survey.
+
+    Attributes
+    ----------
+    splits
+        Splits in the order of the scene.
+    night : (n_obs,)
+        Night of each observation, numbered from 0 over the nights that have observations; observations themselves
+        without dates.
+    dated
+        Whether observations have dates.
+    half : (n_det,)
+        Half of the array of each detector, 0 or 1.
+    """
+
+    splits: tuple[Split, ...]
+    night: np.ndarray
+    dated: bool
+    half: np.ndarray
+
+    @property
+    def n_map(self) -> int:
+        """Number of split maps."""
+        return sum(len(split.parts) for split in self.splits)
+
+    @property
+    def within(self) -> tuple[Split, ...]:
+        """Splits of each observation, whose parts share its weather."""
+        return tuple(split for split in self.splits if split.name != NIGHT)
+
+    def of(self, name: str) -> Split | None:
+        """Return the split with a name; None without it."""
+        return next((split for split in self.splits if split.name == name), None)
+
+    @property
+    def night_parts(self) -> np.ndarray:
+        """Parts (n_obs,) of the split by night that have the observations."""
+        n_part = len(self.of(NIGHT).parts)
+        return (self.night + self.night // n_part) % n_part
+
+    def parts_of(
+        self, split: Split, *, first_scan: int, n_scans: int, rows: np.ndarray
+    ) -> list[tuple[np.ndarray, ...]]:
+        """Detectors (n_row,) bool and scans (n_scans,) bool of each part of a split within observations.
+
+        Parameters
+        ----------
+        first_scan
+            Number of the first of these scans in its observation.
+        rows
+            Numbers of the detectors, (n_row,).
+        """
+        all_rows, all_scans = np.ones(len(rows), bool), np.ones(n_scans, bool)
+        if split.name == DIRECTION:
+            sense = (first_scan + np.arange(n_scans)) % 2
+            return [(all_rows, sense == part) for part in (0, 1)]
+        return [(self.half[rows] == part, all_scans) for part in (0, 1)]
+
+
+def survey_splits(
+    scene: Scene, plane: FocalPlane, start_mjd: np.ndarray | None, block: np.ndarray | None
+) -> SurveySplits | None:
+    """Split a survey; None without a section [spectra].
+
+    Parameters
+    ----------
+    plane
+        Detectors.
+    start_mjd : (n_obs,)
+        Starts of the observations; None without dates.
+    block : (n_obs,)
+        Blocks of observations with independent weather; None where nights are independent.
+
+    Raises
+    ------
+    SceneError
+        For parts without `FEWEST_OBSERVATIONS` observations, and half arrays without a detector.
+    """
+    if scene.spectra is None:
+        return None
+    names, splits = scene.spectra.splits, list[Split]()
+    for name in names:
+        parts = tuple(map(str, range(scene.spectra.parts))) if name == NIGHT else _HALVES[name]
+        splits.append(Split(name, parts, sum(len(split.parts) for split in splits)))
+    night = np.arange(scene.observations) if start_mjd is None else _nights(scene, start_mjd, block)
+    found = SurveySplits(tuple(splits), night, start_mjd is not None, _halves(plane))
+    if NIGHT in names:
+        _check_parts(scene, found)
+    if ARRAY in names and len(plane.x_rad) < 2:
+        raise SceneError(f"spectra.splits: found {ARRAY!r} with one detector; two or more are expected")
+    return found
+
+
+def _nights(scene: Scene, start_mjd: np.ndarray, block: np.ndarray | None) -> np.ndarray:
+    """Night (n_obs,) of each observation, from noon to noon of local mean time, numbered from 0.
+
+    Where the weather drifts, a night ends at the earliest with a block of independent weather.
+    """
+    date = np.floor(start_mjd + scene.schedule.longitude_rad / (2 * np.pi) - 0.5)
+    begins, last = np.zeros(len(date), int), 0
+    for number in range(1, len(date)):
+        if date[number] != date[number - 1] and (block is None or block[number] != block[last]):
+            begins[number], last = 1, number
+    return np.cumsum(begins)
+
+
+def _halves(plane: FocalPlane) -> np.ndarray:
+    half = np.zeros(len(plane.x_rad), int)
+    half[np.argsort(plane.x_rad, kind="stable")[(len(half) + 1) // 2 :]] = 1
+    return half
+
+
+def _check_parts(scene: Scene, found: SurveySplits) -> None:
+    """Raise SceneError for a part with too few observations."""
+    count = np.bincount(found.night_parts, minlength=scene.spectra.parts)
+    if count.min() >= FEWEST_OBSERVATIONS:
+        return
+    nights = plural(int(found.night[-1]) + 1, "night")
+    given = f" in {nights}" if found.dated else ""
+    raise SceneError(
+        f"spectra.parts: found {scene.spectra.parts} with {plural(scene.observations, 'observation')}{given}; fewer"
+        f" parts are expected, each with {FEWEST_OBSERVATIONS} observations or more"
+    )
