@@ -15,17 +15,18 @@ import numpy as np
 from mapmaker.binning import weighted_mean
 from mapmaker.geometry import MapGeometry, pixel_centres, plane_offsets
 from mapmaker.spectrum import mode_multiplicity
+from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.setup import Setup
 from surveysim.scene.map_units import SR_PER_FWHM2
 from surveysim.scene.scene import Scene
 from surveysim.scene.sky import SkyCluster
-from surveysim.survey.coadds import CoAdds
+from surveysim.survey.coadds import CoAdds, jackknife_signs, noise_weights
 from surveysim.telescope.diffraction import effective_area_m2
 from surveysim.timestreams.fixed_sky import peak_mk_per_jy
 from surveysim.timestreams.sky_maps import source_peak_mk
 from surveysim.timestreams.sky_sources import band_flux_jy, profile_in_beam
 
-MOST_SOURCES = 200  # the brightest of a scene
+MOST_SOURCES = 200  # of a scene
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ def source_fluxes(
     weight: np.ndarray,
     transfer: np.ndarray,
 ) -> tuple[SourceFlux, ...]:
-    """Measure the fluxes of the brightest sources whose aperture the patch holds.
+    """Measure the fluxes of sources whose aperture the patch holds: those of the scene file, then the brightest.
 
     Parameters
     ----------
@@ -106,7 +107,7 @@ def source_fluxes(
     s = analysis.data_set_names.index(data_set)
     there = coadds.weight[s][patch, patch]
     measured = weighted_mean(coadds.sums[s][patch, patch], there)
-    flipped = weighted_mean(coadds.flipped[:, s], there)
+    flipped = _without_sky(analysis, coadds, s, measured, there)
     width_rad = float(analysis.beams.fwhm_rad @ analysis.beams.share)
     to_mjy = (
         1e3
@@ -114,7 +115,7 @@ def source_fluxes(
         / (peak_mk_per_jy(setup.scene) * SR_PER_FWHM2 * setup.scene.instrument.beam_fwhm_rad**2)
     )
     found = []
-    for source in sorted(_sources(setup.scene), key=lambda item: -abs(item.flux_jy))[:MOST_SOURCES]:
+    for source in sorted(_sources(setup.scene), key=_order)[:MOST_SOURCES]:
         radius = math.hypot(width_rad, source.size_rad)
         aperture = _aperture(geometry, source, radius, weight * there)
         if aperture is None:
@@ -140,6 +141,22 @@ def source_fluxes(
     return tuple(found)
 
 
+def _without_sky(
+    analysis: AnalysisSetup, coadds: CoAdds, data_set: int, measured: np.ndarray, weight: np.ndarray
+) -> np.ndarray:
+    """Sign-flipped co-adds (K, n, n) less the sky that an uneven share of signs leaves in them, of the map's noise."""
+    signs = np.stack([jackknife_signs(analysis.scene, first) for first in range(coadds.first, coadds.end)], axis=1)
+    each = noise_weights(coadds.noise_mk2()[:, data_set])
+    uneven = (signs @ each / max(each.sum(), 1e-300))[:, None, None]
+    flipped = weighted_mean(coadds.flipped[:, data_set], weight) - uneven * measured
+    return flipped / np.sqrt(np.maximum(1 - uneven**2, 1e-9))
+
+
+def _order(source: _Source) -> tuple[bool, float]:
+    """Place of a source: those of the scene file before those of catalogues, each by brightness."""
+    return source.kind == "catalogue", -abs(source.flux_jy)
+
+
 def _sources(scene: Scene) -> Iterator[_Source]:
     """All sources of a scene; the flux of a cluster is that of its centre in the beam, for their order alone."""
     band, area_m2, of_jy = scene.instrument.band, effective_area_m2(scene), peak_mk_per_jy(scene)
@@ -148,8 +165,9 @@ def _sources(scene: Scene) -> Iterator[_Source]:
         yield _Source(f"point_sources.{number}", "point source", item.ra_rad, item.dec_rad, flux_jy, 0.0)
     for section in scene.sky.catalogues:
         table, flux = section.table, band_flux_jy(section, band)
-        for name, *values in zip(table.names, table.ra_rad, table.dec_rad, flux, table.fwhm_rad, strict=True):
-            yield _Source(name, "catalogue", *map(float, values))
+        columns = (values.tolist() for values in (table.ra_rad, table.dec_rad, flux, table.fwhm_rad))
+        for name, ra_rad, dec_rad, flux_jy, size_rad in zip(table.names, *columns, strict=True):
+            yield _Source(name, "catalogue", ra_rad, dec_rad, flux_jy, size_rad)
     for number, cluster in enumerate(scene.sky.clusters):
         peak_jy = 1e3 * cluster.y0 * band.sz_k_cmb / band.cmb_per_rj / of_jy
         size_rad = cluster.theta_500_rad or cluster.core_radius_rad

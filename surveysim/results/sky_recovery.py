@@ -4,8 +4,8 @@ The sky passes the observations that carry the signal simulations, without noise
 measured with the simulated skies, mode by mode: ``T(k) = sum <in out> / sum <in in>``, with the cross-spectra of
 tapered maps that come out with those that went in. Maps are sharpened by a Laplacian before they are tapered, so that
 the taper does not mix long waves of a steep spectrum, which cleaning removes, into short ones (Das, Hajian and Spergel
-2009, PRD 79, 083008, section III). The own sky is recovered where its cross-spectrum is T times the spectrum of what went in: the
-map that came out, divided by its transfer, is then the map that went in.
+2009, PRD 79, 083008, section III). The own sky is recovered where its cross-spectrum is T times the
+spectrum of what went in: the map that came out, divided by its transfer, is then the map that went in.
 """
 
 from collections.abc import Sequence
@@ -40,6 +40,8 @@ class SkyRecovery:
         The sky through the beam, averaged over pixels, and the map of it without noise [mK RJ].
     weight : (n, n)
         Weights of the map; 0 where there is none.
+    bin_width
+        Width of the bins in multipole.
     ell : (n_bin,)
     transfer, transfer_error : (n_bin,)
         Amplitude transfer function of the simulated skies, and its standard error.
@@ -63,6 +65,7 @@ class SkyRecovery:
     input_mk: np.ndarray
     output_mk: np.ndarray
     weight: np.ndarray
+    bin_width: float
     ell: np.ndarray
     transfer: np.ndarray
     transfer_error: np.ndarray
@@ -137,6 +140,7 @@ def _recovery(setup: Setup, coadds: CoAdds, place: int, name: str, inputs: np.nd
         input_mk=inputs[own],
         output_mk=outputs[own],
         weight=weight,
+        bin_width=float(rings.edges_ell[1] - rings.edges_ell[0]),
         ell=rings.ell,
         transfer=transfer,
         transfer_error=error,
@@ -223,4 +227,4 @@ def _plane(analysis: AnalysisSetup, cross: np.ndarray, power: np.ndarray) -> np.
     place = (row[rows, None] * n + column[columns]).ravel()
     sums = [np.bincount(place, item[np.ix_(rows, columns)].ravel(), 2 * n * n) for item in (cross, power)]
     found = np.full(2 * n * n, np.nan)
-    return np.divide(*sums, out=found, where=sums[1] > 0).reshape(2 * n, n)
+    return np.divide(sums[0], sums[1], out=found, where=sums[1] > 0).reshape(2 * n, n)

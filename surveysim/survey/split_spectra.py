@@ -162,9 +162,7 @@ def _input_spectrum(setup: Setup) -> Spectrum | None:
     sky = setup.scene.sky
     if sky is None:
         return np.zeros_like
-    if sky.point_sources:
-        return None
-    return lambda ell: np.full(np.shape(ell), sky.cmb_band_power_ukcmb2)
+    return sky.band_power_ukcmb2 if sky.is_spectrum else None
 
 
 def _expected(measure: _Measure) -> np.ndarray | None:
