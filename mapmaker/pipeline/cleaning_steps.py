@@ -12,7 +12,7 @@ class _TemplateStep(Section):
     """Mean fractional change of the responsivities at convergence."""
     max_iterations: whole(1, 10**6) = 100  # type: ignore[valid-type]
     """Most iterations; a scan that needs more is discarded."""
-    responsivities: Literal["scan", "observation"] = "scan"
+    responsivities: Literal["scan", "observation"] = "observation"
     """One fit of the responsivities to each scan, or one to each file."""
 
     def options(self) -> Any:

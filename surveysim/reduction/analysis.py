@@ -60,6 +60,16 @@ class AnalysisSetup:
         return scored_region(self.scene, self.geometry, self.sky_geometry, self.beams)
 
     @property
+    def sums_patch(self) -> slice:
+        """Rows (and columns) of the map that jackknives and signal simulations are summed over.
+
+        The scored patch; all of a map that is solved for; none without a score.
+        """
+        if self.region is None:
+            return slice(0, 0)
+        return slice(0, self.geometry.n_y) if self.scene.map.solved else self.region.patch
+
+    @property
     def sky_geometry(self) -> MapGeometry:
         """Grid of the simulated signals."""
         return self.sky.geometry
