@@ -162,7 +162,7 @@ def _sources(scene: Scene) -> Iterator[_Source]:
     band, area_m2, of_jy = scene.instrument.band, effective_area_m2(scene), peak_mk_per_jy(scene)
     for number, item in enumerate(scene.sky.point_sources):
         flux_jy = source_peak_mk(item, band, area_m2) / of_jy
-        yield _Source(f"point_sources.{number}", "point source", item.ra_rad, item.dec_rad, flux_jy, 0.0)
+        yield _Source(f"point source {number}", "point source", item.ra_rad, item.dec_rad, flux_jy, 0.0)
     for section in scene.sky.catalogues:
         table, flux = section.table, band_flux_jy(section, band)
         columns = (values.tolist() for values in (table.ra_rad, table.dec_rad, flux, table.fwhm_rad))
@@ -171,7 +171,7 @@ def _sources(scene: Scene) -> Iterator[_Source]:
     for number, cluster in enumerate(scene.sky.clusters):
         peak_jy = 1e3 * cluster.y0 * band.sz_k_cmb / band.cmb_per_rj / of_jy
         size_rad = cluster.theta_500_rad or cluster.core_radius_rad
-        yield _Source(f"clusters.{number}", "cluster", cluster.ra_rad, cluster.dec_rad, peak_jy, size_rad, cluster)
+        yield _Source(f"cluster {number}", "cluster", cluster.ra_rad, cluster.dec_rad, peak_jy, size_rad, cluster)
 
 
 def _distance(geometry: MapGeometry, source: _Source) -> np.ndarray:
