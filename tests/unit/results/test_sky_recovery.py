@@ -20,7 +20,7 @@ from tests.scenes import SMALL_SCENE, write_scene
 SOURCES = """\
 [[sky.clusters]]
 ra = "08h49m12s"
-dec = "+44d53m00s"
+dec = "+44d47m00s"
 y0 = 4e-3
 profile = "beta"
 core_radius = "40 arcsec"
