@@ -15,7 +15,7 @@ from surveysim.runtime.table import Column, Table, column, file_column, quoted_c
 from surveysim.scene.spectra import NIGHT
 from surveysim.survey.split_spectra import SplitSpectrum, SurveySpectra
 
-Content = Mapping[str, Any]  # entry `spectra` of summary.json
+Content = Mapping[str, Any]  # entry `split_spectra` of summary.json
 MOST_UNSEEN = 0.01  # of the patch
 SUSPECT = 1e-3  # probability to exceed, below which a test has failed
 _MEASURED = "power_uk2", "monte_carlo_error_uk2"
@@ -34,7 +34,7 @@ _BIAS = "noise_bias_uk2", "noise_bias_error_uk2"
 
 
 def spectra_entry(setup: Setup, spectra: SurveySpectra, done: int) -> dict[str, Any]:
-    """Return the entry `spectra` of summary.json, `done` being the number of simulated observations."""
+    """Return the entry `split_spectra` of summary.json, `done` being the number of simulated observations."""
     splits = setup.analysis.splits
     return {
         "reported": spectra.reported.split.name,

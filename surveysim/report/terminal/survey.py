@@ -58,10 +58,10 @@ def print_result(result: SurveyResult, directory: Path, verbose: bool = False) -
             show_table(console, metrics)
             for line in metric_notes(content["metrics"]):
                 console.say(line)
-    if "spectra" in content:
-        show_table(console, band_power_table(content["spectra"]))
-        show_table(console, split_table(content["spectra"]))
-        for line in split_sentences(content["spectra"]):
+    if "split_spectra" in content:
+        show_table(console, band_power_table(content["split_spectra"]))
+        show_table(console, split_table(content["split_spectra"]))
+        for line in split_sentences(content["split_spectra"]):
             console.say(f"  {line}")
     if result.unscored:
         console.say(f"Not scored: {result.unscored}")

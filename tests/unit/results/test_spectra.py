@@ -38,7 +38,7 @@ def result(setup):
 
 @pytest.fixture(scope="module")
 def entry(result):
-    return json.loads(strict_json(summary(result)["spectra"]))
+    return json.loads(strict_json(summary(result)["split_spectra"]))
 
 
 def test_summary_has_the_reported_band_powers(result, entry):
@@ -79,7 +79,7 @@ def test_few_observations_are_warned_of(setup, result):
 def test_a_survey_that_has_begun_says_why_it_has_no_spectra(setup, result):
     begun = run_observations(setup, None, stops=lambda sums: sums.done == 2)
     found = survey_result(setup, begun, wall_s=1.0, workers=1)
-    assert found.spectra is None and "spectra" not in summary(found)
+    assert found.spectra is None and "split_spectra" not in summary(found)
     assert any(line.startswith("spectra: not measured: ") for line in found.warnings)
 
 
