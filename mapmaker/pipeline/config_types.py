@@ -67,6 +67,7 @@ def _converted(value: object, unit: str, example: str, parsed: Callable[[str], A
 
 
 Length = Annotated[float, quantity("rad", "20 arcsec", most=math.pi)]
+Frequency = Annotated[float, quantity("Hz", "0.1 Hz")]
 Duration = Annotated[float, quantity("s", "1 s")]
 RightAscension = Annotated[float, direction("right ascension", 720.0)]
 Declination = Annotated[float, direction("declination", 90.0)]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mapmaker.cleaning import Cleaned, clean_in_order
-from mapmaker.errors import InsufficientDataError
+from mapmaker.errors import ArgumentError, InsufficientDataError
 from mapmaker.files import one_line
 from mapmaker.geometry import MapGeometry, mean_direction, pixel_centres, pixel_indices, plane_offsets
 from mapmaker.lost_samples import fill_flagged
@@ -116,12 +116,19 @@ def _clean(streams: Timestreams, state: Usable, config: Config) -> Cleaned:
     live = state.live
     plane, lost = streams.focal_plane.subset(live), state.lost[live]
     filled = fill_flagged(streams.data_mk[live], state.bounds, lost)
-    steps = [(step.algorithm, step.options()) for step in config.cleaning]
+    rate_hz = 1 / float(np.median(np.diff(streams.time_s)))
+    try:
+        steps = [(step.algorithm, step.options(rate_hz)) for step in config.cleaning]
+    except ArgumentError as error:  # a frequency beyond what the file has
+        raise _uncleanable(state, error) from None
     try:
         return clean_in_order(steps, filled, state.bounds, plane)
     except InsufficientDataError as error:
-        dropped = Dropped(state.name, FILE, CLEANING, detail=one_line(error))
-        raise UnusableFileError((*state.dropped, dropped)) from None
+        raise _uncleanable(state, error) from None
+
+
+def _uncleanable(state: Usable, error: Exception) -> UnusableFileError:
+    return UnusableFileError((*state.dropped, Dropped(state.name, FILE, CLEANING, detail=one_line(error))))
 
 
 def spared_samples(streams: Timestreams, flags: FlagSection) -> np.ndarray:

@@ -101,7 +101,7 @@ def clean_and_map(paths: Sequence[str | Path], config: Config, show: Show = lamb
     files, detectors, dropped = {}, [], [item for items in bad.values() for item in items]
     for number, (path, name) in enumerate(good):
         try:
-            item = clean_file(name, read_timestreams(path), config)
+            item = clean_file(name, read_timestreams(path, fwhm_rad=config.input.fwhm), config)
             weight = sample_weights(item, config.map.weights)
             dropped += [*item.dropped, *sums.add(item, weight, (number, len(good)))]
         except InputError as error:
@@ -135,7 +135,7 @@ def _field(
     stated = config.map.centre and config.map.size
     for number, (path, name) in enumerate(zip(paths, names, strict=True)):
         try:
-            streams = read_timestreams(path)
+            streams = read_timestreams(path, fwhm_rad=config.input.fwhm)
             field = stated_field(streams, config.map) if stated else extended(field, streams, config.map)
         except InputError as error:
             bad[name] = _of_error(path, name, error)
