@@ -8,6 +8,7 @@ import numpy as np
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.errors import InsufficientDataError, OutOfRangeError
 from mapmaker.mode_coupling import ModeCoupling, beam_power, coupling_flags, usable_bins
+from mapmaker.spectrum import checked_taper
 from mapmaker.transfer_function import pixel_window
 from mapmaker.validation import argument_error, increasing, reals
 
@@ -72,9 +73,7 @@ def curved_coupling(
         For another number of pixels than HEALPix has, bins beyond 2 nside or without a multipole, and bins that are all
         lost.
     """
-    taper = reals("taper", taper, ("n_pixel",))
-    if not taper.any():
-        raise argument_error("taper", "zeros alone", "a taper that hides a part of the sky is")
+    taper = checked_taper(taper, ("n_pixel",))
     nside = _nside(taper.size)
     edges_ell = increasing("edges_ell", edges_ell, fewest=2, least=0)
     if edges_ell[-1] > 2 * nside:

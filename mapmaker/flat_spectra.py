@@ -8,7 +8,16 @@ import numpy as np
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.errors import OutOfRangeError
 from mapmaker.mode_coupling import ModeCoupling, beam_power, coupling_flags, narrow_edges, usable_bins
-from mapmaker.spectrum import Annuli, annuli, map_psd, mode_ell, mode_multiplicity, ring_mean, taper_autocorrelation
+from mapmaker.spectrum import (
+    Annuli,
+    annuli,
+    checked_taper,
+    map_psd,
+    mode_ell,
+    mode_multiplicity,
+    ring_mean,
+    taper_autocorrelation,
+)
 from mapmaker.transfer_function import mode_pixel_window, pixel_window
 from mapmaker.validation import pixel_side, reals, whole
 
@@ -90,7 +99,7 @@ def flat_coupling(
         For arguments as of `annuli` and `coupled_psd`, bins beyond the Nyquist multipole, and bins that are all lost.
     """
     pixel_side("pixel_rad", pixel_rad)
-    taper = reals("taper", taper, ("n_y", "n_x"))
+    taper = checked_taper(taper)
     n_y, n_x = taper.shape
     rings = annuli(n_y, n_x, pixel_rad, edges_ell=reals("edges_ell", edges_ell, ("n",), least=0), taper=taper)
     if rings.edges_ell[-1] > np.pi / pixel_rad * (1 + 1e-9):
@@ -126,8 +135,8 @@ def plane_distortion(taper: np.ndarray, pixel_rad: float) -> float:
         Its centre is the mean position under its square.
     pixel_rad
     """
-    weight = reals("taper", taper, ("n_y", "n_x")) ** 2
-    variance = 0.0
+    weight, variance = checked_taper(taper) ** 2, 0.0
+    pixel_side("pixel_rad", pixel_rad)
     for axis, n in enumerate(weight.shape):
         along, at = weight.sum(axis=1 - axis), np.arange(n) * pixel_rad
         variance += np.average((at - np.average(at, weights=along)) ** 2, weights=along)

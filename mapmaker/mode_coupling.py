@@ -139,7 +139,7 @@ def usable_bins(window: np.ndarray, transfer: np.ndarray | None) -> tuple[np.nda
         For a transfer function of other bins or below 0, and if no bin is left.
     """
     transfer = np.ones(window.size) if transfer is None else reals("transfer", transfer, window.shape, finite=False)
-    usable = (transfer >= LEAST_TRANSFER) & (window >= LEAST_WINDOW * window.max())
+    usable = (transfer >= LEAST_TRANSFER) & (window > 0) & (window >= LEAST_WINDOW * window.max())
     if not usable.any():
         raise InsufficientDataError("beam, pixels, scans and cleaning leave no power in any bin of multipole")
     return transfer, usable

@@ -117,7 +117,7 @@ def annuli(n_y: int, n_x: int, pixel_rad: float, *, edges_ell: np.ndarray, taper
     """
     edges_ell = increasing("edges_ell", edges_ell, fewest=2)
     _check_plane(n_y, n_x, pixel_rad)
-    taper = _checked_taper(taper, (n_y, n_x))
+    taper = checked_taper(taper, (n_y, n_x))
     n_bin = edges_ell.size - 1
     ell = mode_ell(n_y, n_x, pixel_rad).ravel()
     bin_of_mode = np.searchsorted(edges_ell, ell, side="right") - 1
@@ -139,7 +139,8 @@ def _check_plane(n_y: int, n_x: int, pixel_rad: float) -> None:
     pixel_side("pixel_rad", pixel_rad)
 
 
-def _checked_taper(taper: np.ndarray, shape: tuple = ("n_y", "n_x")) -> np.ndarray:
+def checked_taper(taper: np.ndarray, shape: tuple = ("n_y", "n_x")) -> np.ndarray:
+    """Check a taper that is not zero everywhere."""
     taper = reals("taper", taper, shape)
     if not taper.any():
         raise argument_error("taper", "zeros alone", "a taper that hides a part of the map is")
@@ -208,7 +209,7 @@ def mode_psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float) -> np.ndar
 
 
 def _checked_map(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float) -> tuple[np.ndarray, np.ndarray]:
-    taper = _checked_taper(taper)
+    taper = checked_taper(taper)
     pixel_side("pixel_rad", pixel_rad)
     return reals("map_mk", map_mk, (..., *taper.shape)), taper
 
@@ -311,7 +312,7 @@ def coupled_psd(
     if len([whole("sky_shape", n, least=1) for n in sky_shape]) != 2:
         raise argument_error("sky_shape", f"{len(sky_shape)} numbers", "two are")
     sky_psd = reals("sky_psd", sky_psd, (sky_shape[0], sky_shape[1] // 2 + 1), least=0)
-    taper = _checked_taper(taper)
+    taper = checked_taper(taper)
     pixel_side("pixel_rad", pixel_rad)
     whole("cells_per_pixel", cells_per_pixel, least=1, most=MAX_PIXELS)
     from scipy.fft import irfft2, rfft2
@@ -367,7 +368,7 @@ def neighbour_correlation(taper: np.ndarray, rings: Annuli) -> np.ndarray:
     ValueError
         For annuli of another map.
     """
-    taper = _checked_taper(taper)
+    taper = checked_taper(taper)
     n_y, n_x = taper.shape
     if rings.bin_of_mode.size != n_y * (n_x // 2 + 1):
         raise ValueError(f"annuli are for {rings.bin_of_mode.size} half-plane modes, the taper has {taper.shape}")

@@ -23,9 +23,11 @@ from surveysim.scene.shipped import find_scene
 from surveysim.studies.resources import Plan, make_plan
 from surveysim.studies.sweep.axes import is_sweep
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
+from surveysim.survey.checkpoint import WEIGHTS
 from surveysim.survey.coadd_tree import CoAddTree
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.run import finished_sums, run_observations
+from surveysim.survey.solution import Solving
 from surveysim.timestreams.observation import draw_observation
 
 PROCESSES = Engine()
@@ -73,8 +75,12 @@ def run_survey(
     target_metric: str = SIGMA_KEY,
     time_budget_s: float | None = None,
     force: bool = False,
+    solving: Solving = lambda name, iteration: None,
 ) -> SurveyResult:
-    """Simulate, clean, map and score a scene of one band; parameters and errors are those of `surveysim.run`."""
+    """Simulate, clean, map and score a scene of one band; parameters and errors are those of `surveysim.run`.
+
+    `solving` is called before each iteration of a map that is solved for, with what it is and the iteration's number.
+    """
     start, limits = perf_counter(), StoppingCriteria(target_error, time_budget_s, target_metric)
     setup = prepare(scene_as_given(scene))
     check_limits(setup, limits)
@@ -86,7 +92,15 @@ def run_survey(
     def result_of(checkpoint: Path | None, streams: Path | None, nodes: Sequence[CoAdds] = ()) -> SurveyResult:
         stops = stopping_rule(setup, limits, start)
         coadds = run_observations(
-            setup, checkpoint, engine, nodes=nodes, keep=True, timestream_dir=streams, progress=progress, stops=stops
+            setup,
+            checkpoint,
+            engine,
+            nodes=nodes,
+            keep=True,
+            timestream_dir=streams,
+            progress=progress,
+            stops=stops,
+            solving=solving,
         )
         return survey_result(
             setup, coadds, wall_s=perf_counter() - start, workers=workers, limits=limits, engine=engine.kind
@@ -103,8 +117,9 @@ def run_survey(
         result = result_of(checkpoint, streams, nodes)
         whole = result.coadds.done == setup.scene.observations
         with replacing(place, whole=whole) as new:
-            numbers = range(result.coadds.done) if save_timestreams else ()
-            names = [f"timestreams/{number:04d}.h5" for number in numbers]
+            numbers = range(result.coadds.done)
+            names = [f"timestreams/{number:04d}.h5" for number in numbers if save_timestreams]
+            names += [f"{WEIGHTS}/{number:04d}.npz" for number in numbers if setup.scene.map.solved]
             # None of before a resumption that asked for them.
             write_outputs(new, result, figures, [name for name in names if (place.path / name).is_file()])
     return result
@@ -112,8 +127,9 @@ def run_survey(
 
 def finished_survey(scene: Scene, out: Path) -> SurveyResult:
     """Score the finished run of a scene in `out` again, from its checkpoint; CheckpointError if that is another's."""
-    start, setup = perf_counter(), prepare(scene)
-    coadds = run_observations(setup, None, SERIAL, nodes=finished_sums(setup, out / CHECKPOINT))
+    start, setup, checkpoint = perf_counter(), prepare(scene), out / CHECKPOINT
+    nodes = finished_sums(setup, checkpoint)
+    coadds = run_observations(setup, checkpoint if scene.map.solved else None, SERIAL, nodes=nodes)
     return survey_result(setup, coadds, wall_s=perf_counter() - start, workers=1)
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 STATUS_EVERY_S = 4.0
 LINES = 10
+SOLVED_EVERY = 5  # iterations between lines
 STATUS_COLUMNS = 54  # width of the texts next to the bar
 SHORTEST_BAR = 4
 
@@ -187,6 +188,12 @@ def announce_compilation(name: str) -> None:
 
     if not is_cached(bin_samples):
         complain(f"{name}: compiling kernels before the first result, up to a minute; later runs load them")
+
+
+def show_solving(name: str, quiet: bool, what: str, iteration: int) -> None:
+    """Print what is solved for, every few iterations."""
+    if not quiet and iteration % SOLVED_EVERY == 0:
+        complain(f"{name}: solving for {what}, iteration {iteration}")
 
 
 def time_text(seconds: float) -> str:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 from time import process_time
 from typing import TYPE_CHECKING, Annotated, Any
@@ -161,6 +162,7 @@ def _run_scene(
         progress_display,
         score_so_far,
         seconds_left,
+        show_solving,
     )
     from surveysim.report.terminal.survey import print_result
 
@@ -185,6 +187,7 @@ def _run_scene(
             save_timestreams=save_timestreams,
             figures=figures,
             progress=stopping(shown),
+            solving=stopping(partial(show_solving, checked.name, quiet)),
             target_error=limits.target_error,
             target_metric=limits.metric,
             time_budget_s=limits.time_budget_s,

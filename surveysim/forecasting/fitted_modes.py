@@ -147,6 +147,7 @@ def expected_mode_shares(variance: np.ndarray) -> np.ndarray:
     v = variance / variance.sum()
     s = np.geomspace(1e-7, 1e12, 2000)
     factor = 1 + 2 * np.outer(s, v)
-    value = v / factor / np.sqrt(np.prod(factor, axis=1))[:, None]
+    with np.errstate(over="ignore"):  # of many modes, where the integrand is 0
+        value = v / factor / np.sqrt(np.prod(factor, axis=1))[:, None]
     share = np.trapezoid(value * s[:, None], np.log(s), axis=0)
     return share / share.sum()

@@ -160,7 +160,9 @@ def can_forecast(setup: Setup) -> bool:
 
 
 def why_no_forecast(setup: Setup) -> str | None:
-    """Name a component, step of the response or cleaning without a closed form; None if all have one."""
+    """Name a component, step of the response, cleaning or map-maker without a closed form; None if all have one."""
+    if setup.scene.map.solved:
+        return f"map.maker {setup.scene.map.maker!r} has no closed form"
     for item in present_components(setup.scene):
         if item.name not in CLOSED_FORMS:
             return f"{item.name}: found a section without a closed form"

@@ -31,6 +31,7 @@ from surveysim.output.record import (
 )
 from surveysim.scene.units import shown
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
+from surveysim.survey.checkpoint import WEIGHTS
 
 OTHERWISE = "--force replaces it, --out writes elsewhere"
 
@@ -335,7 +336,7 @@ def _is_written(place: OutputDirectory, name: str) -> bool:
 
 def _identity(path: Path) -> str:
     """Identify the content of a file: by SHA-256, or for large time-streams by size and modification time."""
-    if path.parent.name == "timestreams":
+    if path.parent.name in ("timestreams", WEIGHTS):
         state = path.stat()
         return f"{state.st_size} bytes, {state.st_mtime_ns} ns"
     with open(path, "rb") as file:

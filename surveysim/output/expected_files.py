@@ -20,6 +20,7 @@ from surveysim.studies.sweep.bands import MultiBandSweep, band_sweep_hash
 from surveysim.studies.sweep.point_run import Stage
 from surveysim.studies.sweep.rounds import SweepLimits, round_ends
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
+from surveysim.survey.checkpoint import WEIGHTS
 
 COMMON = ("summary.json", "scene.json", "report.html")
 SCORES = "scores.npz"
@@ -57,6 +58,8 @@ def of_run(setup: Setup, figures: bool, timestreams: bool) -> Results:
     """Return the results of a run of a scene."""
     scene = setup.scene
     names = [CHECKPOINT, *_run_names(scene), *_map_names(setup), *(_figure_names() if figures else ())]
+    if scene.map.solved:
+        names += [f"{WEIGHTS}/{number:04d}.npz" for number in range(scene.observations)]
     if timestreams:
         names += [f"timestreams/{number:04d}.h5" for number in range(scene.observations)]
     return Results("run", scene.name, scene_hash(scene), tuple(names), scene_files(scene), extends=survey_hash(scene))

@@ -13,10 +13,10 @@ WRITTEN = re.compile(
     r"|(sweep|sweep_pairs|forecast|accuracy|bands|spectra|spectra_windows)\.ecsv|spectra\.sacc|table\d+(_[a-z]+)?\.ecsv|figure\d+\.(png|ecsv)"
     r"|explain\.ecsv|second_layer\.(ecsv|png)|observations_\w+\.ecsv"
     r"|(measurements|recovered)_[0-9]+\.ecsv|tables/\w+\.ecsv|maps/\w[\w.+~,=-]*\.fits|figures/\w+\.png"
-    r"|timestreams/\d+\.h5|scores\.npz|points/\d+(_\d+)?\.npz|points/\d+\.checkpoint\.h5|evaluations\.jsonl"
+    r"|timestreams/\d+\.h5|noise_weights/\d+\.npz|scores\.npz|points/\d+(_\d+)?\.npz|points/\d+\.checkpoint\.h5|evaluations\.jsonl"
 )
 SAYS_ITSELF = re.compile(  # they name their scene
     r"checkpoint\.h5|points/\d+(_\d+)?\.npz|points/\d+\.checkpoint\.h5|evaluations\.jsonl"
 )
-UNFINISHED_WORK = re.compile(rf"{SAYS_ITSELF.pattern}|timestreams/\d+\.h5")
+UNFINISHED_WORK = re.compile(rf"{SAYS_ITSELF.pattern}|timestreams/\d+\.h5|noise_weights/(\d+\.npz|skies_\d+\.npy)")
 INPUT = re.compile(_SCENE)

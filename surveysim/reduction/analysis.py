@@ -58,6 +58,16 @@ class AnalysisSetup:
         """Scored patch and multipoles; None without a score."""
         return scored_region(self.scene, self.geometry, self.sky_geometry, self.beams)
 
+    @property
+    def sums_patch(self) -> slice:
+        """Rows (and columns) of the map that jackknives and signal simulations are summed over.
+
+        The scored patch; all of a map that is solved for; none without a score.
+        """
+        if self.region is None:
+            return slice(0, 0)
+        return slice(0, self.geometry.n_y) if self.scene.map.solved else self.region.patch
+
     @once
     def signal_skies_mk(self) -> np.ndarray | None:
         """Skies (n_sky, n_beam, n_y, n_x) of the signal simulations; a point source last with several pipelines."""

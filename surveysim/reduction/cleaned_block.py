@@ -7,9 +7,11 @@ import numpy as np
 
 from mapmaker.cleaning import Cleaned
 from mapmaker.geometry import boresight_pixels
+from mapmaker.normal_equations import NormalBlock
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline
 from surveysim.reduction.layer_delays import block_delays
 from surveysim.reduction.live_detectors import live_pipelines
+from surveysim.reduction.noise_weights import measured_weight
 from surveysim.reduction.setup import Setup
 from surveysim.telescope.pointing import Pointing
 from surveysim.timestreams.observation import DrawnBlock, Stopwatch, draw_band, draw_block
@@ -42,6 +44,15 @@ class CleanedBlock:
         if self.streams.flags is not None:
             pixels[self.streams.flags] = -1
         return tuple(pixels[pipeline.rows] for pipeline in self.pipelines)
+
+    @cached_property
+    def normal(self) -> NormalBlock | None:
+        """Pointing and noise weights of the kept scans, for a map that is solved for; None without a kept scan."""
+        [pipeline], [index], [item] = self.pipelines, self.index, self.cleaned
+        bounds = self.streams.scan_bounds[item.kept]
+        if not len(bounds):
+            return None
+        return NormalBlock(index, bounds, measured_weight(self.setup, pipeline.rows, item.data_mk, bounds))
 
 
 def reduce_block(

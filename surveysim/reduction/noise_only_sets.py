@@ -9,8 +9,10 @@ from mapmaker.chunks import row_chunks
 from mapmaker.geometry import boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
 from mapmaker.kernels.spectra import scale_mean_removed
+from mapmaker.normal_equations import NormalBlock, add_right_side
 from mapmaker.timestreams import scan_bounds
 from surveysim.reduction.detector_weights import weighted
+from surveysim.reduction.noise_weights import BlockWeights
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.rng import NormalDeviates, RandomPurpose, normal_deviates
 from surveysim.telescope.pointing import Pointing
@@ -47,11 +49,12 @@ def add_simulated(
     *,
     psd: np.ndarray,
     white: np.ndarray,
+    noise_weights: Sequence[BlockWeights],
     watch: Stopwatch,
 ) -> None:
     """Add the maps of the noise-only sets (section 5.2), in the scans that the actual data keep.
 
-    Detectors are drawn some at a time.
+    Detectors are drawn some at a time, or together for a map that is solved for, whose noise weights tie them.
 
     Parameters
     ----------
@@ -63,7 +66,10 @@ def add_simulated(
         PSDs measured on the cleaned streams [mK^2/Hz].
     white : (n_det,)
         White levels measured on the cleaned streams [mK^2/Hz].
+    noise_weights
+        Weights of the blocks of the actual data, in a map that is solved for.
     """
+    solved, of_blocks = setup.scene.map.solved, {item.block: item for item in noise_weights}
     plane = setup.camera.focal_plane
     for block, kept in zip(setup.observing.blocks, kept_scans, strict=True):
         pointing = whole.scans(block.first, block.end)
@@ -75,7 +81,8 @@ def add_simulated(
             normal_deviates(scene.seed, purpose, observation, block=block.number, band=scene.band_name)
             for purpose in purposes
         ]
-        for rows in row_chunks(setup.camera.n_det, len(pointing.time_s)):
+        together = [slice(0, setup.camera.n_det)] if solved else row_chunks(setup.camera.n_det, len(pointing.time_s))
+        for rows in together:
             weight = None if setup.analysis.weight is None else setup.analysis.weight[rows]
             with watch("pixels"):
                 some = plane.subset(rows)
@@ -85,8 +92,19 @@ def add_simulated(
             for name, own in zip(names, deviates, strict=True):
                 with watch("simulated sets"):
                     data = NOISE_ONLY_SETS[name].draw(setup, own, rows, psd=psd, white=white, n_scans=block.n_scans)
+                if solved:
+                    with watch("binning"):
+                        _add_right_side(of_blocks.get(block.number), index, data, maps[name][0])
+                    continue
                 with watch("binning"):
                     bin_samples(weighted(data, weight), index, bounds, kept[0], maps[name][0], None)
+
+
+def _add_right_side(weights: BlockWeights | None, index: np.ndarray, data: np.ndarray, total: np.ndarray) -> None:
+    """Add streams of all detectors to a right-hand side with the weights of the actual data; nothing without any."""
+    if weights is not None:
+        rows = weights.rows
+        add_right_side(NormalBlock(index[rows], weights.bounds, weights.noise), data[rows], total)
 
 
 def _draw_uncorrelated(

@@ -14,6 +14,7 @@ import numpy as np
 from mapmaker.formats.hdf5 import timestream_file
 from mapmaker.geometry import MapGeometry
 from mapmaker.kernels.pixels import bin_samples
+from mapmaker.normal_equations import add_diagonal, add_right_side
 from mapmaker.stream_psd import hann_power, white_level
 from surveysim.reduction.cleaned_block import CleanedBlock, reduce_block
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
@@ -22,6 +23,7 @@ from surveysim.reduction.figure_of_merit import TARGETS, best_places, figures_of
 from surveysim.reduction.layer_delays import delays_of_all_blocks
 from surveysim.reduction.map_noise import map_noise
 from surveysim.reduction.noise_only_sets import add_simulated
+from surveysim.reduction.noise_weights import BlockWeights, block_weights, save_weights
 from surveysim.reduction.observation_result import ObservationResult
 from surveysim.reduction.setup import Setup
 from surveysim.reduction.signal_maps import add_signal_maps, empty_signal_maps, scored_signal_maps
@@ -49,7 +51,8 @@ class _Sums:
     the kept scans of the actual data (`hann_power`), and their number less the part of lost samples, `sampled`
     (n_det,); number `flagged` of lost samples. Of each block: `kept`, `iterations` and `removed` (n_pipeline, n_scan),
     `lost` (n_scan,) scans, and the number of kept scans with their mean PSD (n_freq,) [mK^2/Hz], before cleaning
-    (`raw`) and after the other pipelines (`compared`).
+    (`raw`) and after the other pipelines (`compared`). `noise_weights` of blocks with a kept scan, of maps that are
+    solved for.
     """
 
     maps: dict[str, Map]
@@ -65,9 +68,17 @@ class _Sums:
     removed: list[np.ndarray] = field(default_factory=list)
     raw: list[tuple[int, np.ndarray]] = field(default_factory=list)
     compared: list[list[tuple[int, np.ndarray]]] = field(default_factory=list)
+    noise_weights: list[BlockWeights] = field(default_factory=list)
 
 
-def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path | None = None) -> ObservationResult:
+def observe(
+    setup: Setup,
+    observation: int,
+    with_signal_sims: bool,
+    path: Path | None = None,
+    *,
+    weights_path: Path | None = None,
+) -> ObservationResult:
     """Simulate, clean and bin one observation.
 
     Parameters
@@ -76,6 +87,8 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
         Whether to simulate signals too.
     path
         File for the time-streams before cleaning; None for none.
+    weights_path
+        File for the noise weights of a map that is solved for; None for none.
     """
     watch, (_, pointing) = Stopwatch(), observation_path(setup.observing, observation)
     sums, delays = _empty_sums(setup, with_signal_sims), delays_of_all_blocks(setup, observation, pointing, watch)
@@ -91,7 +104,19 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
     if setup.scene.score:
         n, rate = samples_per_scan(setup.observing.scans), setup.observing.scans.sample_rate_hz
         white = white_level(psd, n, rate, setup.scene.score.white_noise_above_hz)
-        add_simulated(sums.maps, sums.kept, setup, observation, pointing, psd=psd, white=white, watch=watch)
+        add_simulated(
+            sums.maps,
+            sums.kept,
+            setup,
+            observation,
+            pointing,
+            psd=psd,
+            white=white,
+            noise_weights=sums.noise_weights,
+            watch=watch,
+        )
+    if weights_path is not None:
+        save_weights(weights_path, setup, observation, sums.noise_weights)
     analysis = setup.analysis
     maps = {name: _plane(analysis.geometry, setup.stream_type, *item) for name, item in sums.maps.items()}
     exposure = {name: sums.exposure.get(name, item[1]).reshape(item[1].shape) for name, item in maps.items()}
@@ -108,7 +133,7 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
     total, hits = (np.stack(planes) for planes in zip(*ordered, strict=True))
     weights = np.stack([exposure[name] for name in analysis.data_set_names]) if sums.exposure else hits
     with watch("weights"):
-        of_sets = [map_noise(analysis.region, *item) for item in zip(total, weights, strict=True)]
+        of_sets = [map_noise(analysis, *item) for item in zip(total, weights, hits, strict=True)]
         noise, of_bins = (np.array(part) for part in zip(*of_sets, strict=True))
     removed = np.concatenate(sums.removed, axis=1)
     compared = [mean_psd(list(of_pipeline)) for of_pipeline in zip(*sums.compared, strict=True)]
@@ -166,7 +191,7 @@ def _empty_sums(setup: Setup, with_signal_sims: bool) -> _Sums:
     power = np.zeros((setup.camera.n_det, samples_per_scan(setup.observing.scans) // 2 + 1))
     signals = empty_signal_maps(setup.analysis, setup.analysis.n_signal_skies) if with_signal_sims else None
     exposure = {}
-    if setup.analysis.weight is not None:
+    if setup.analysis.weight is not None or setup.scene.map.solved:
         exposure = {name: np.zeros(n_pixel) for name in hits}
         exposure |= {name: exposure[ACTUAL] for name in names if name not in hits}
     return _Sums(maps, exposure, signals, empty_split_maps(setup.analysis), power, np.zeros(len(power)))
@@ -181,6 +206,9 @@ def _add_part(sums: _Sums, part: CleanedBlock, save: Callable[[CleanedBlock], No
     with watch("pixels"):
         pixels = part.index
     for pipeline, index, item in zip(part.pipelines, pixels, part.cleaned, strict=True):
+        if setup.scene.map.solved:
+            _add_right_side(sums, part, watch)
+            continue
         with watch("binning"):
             weight, bounds = setup.analysis.weight_of(pipeline.rows), part.streams.scan_bounds
             bin_samples(weighted(item.data_mk, weight), index, bounds, item.kept, *sums.maps[pipeline.data_set])
@@ -198,6 +226,20 @@ def _add_part(sums: _Sums, part: CleanedBlock, save: Callable[[CleanedBlock], No
     if sums.signal_maps is not None:
         with watch("transfer_function"):
             add_signal_maps(sums.signal_maps, part, setup.analysis.signal_skies_mk)
+
+
+def _add_right_side(sums: _Sums, part: CleanedBlock, watch: Stopwatch) -> None:
+    """Add the cleaned streams of a map that is solved for to its right-hand side, and keep their noise weights."""
+    with watch("noise_weights"):
+        normal = part.normal
+    if normal is None:
+        return
+    [pipeline], [item] = part.pipelines, part.cleaned
+    with watch("binning"):
+        total, hits = sums.maps[pipeline.data_set]
+        add_right_side(normal, item.data_mk, total)
+        add_diagonal(normal, sums.exposure[pipeline.data_set], hits)
+    sums.noise_weights.append(block_weights(part.block, pipeline.rows, normal, part.streams.flags))
 
 
 def _add_spectra(sums: _Sums, part: CleanedBlock) -> None:

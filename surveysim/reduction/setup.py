@@ -30,6 +30,7 @@ from surveysim.reduction.consistency import (
 from surveysim.reduction.curved_tracks import curved_motions
 from surveysim.reduction.detector_weights import beams_of, detector_weights
 from surveysim.reduction.layer_checks import check_changes
+from surveysim.reduction.maker_checks import check_maker
 from surveysim.reduction.motion_checks import check_motion
 from surveysim.reduction.mount_check import check_mount
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
@@ -206,6 +207,7 @@ def _prepare(scene: Scene) -> Setup:
     common = _common(scene)
     cam, scans, geometry = common.cameras[scene.band_name], common.scans, common.geometry
     check_mount(scene, common.pattern, scans, common.times)
+    check_maker(scene, scans)
     check_templates(scene, cam, scans)
     check_dead_time(scene, cam)
     for band in (scene, *scene.others):

@@ -31,6 +31,7 @@ from surveysim.runtime.errors import InsufficientDataError
 from surveysim.runtime.strict_json import known
 from surveysim.runtime.table import Table
 from surveysim.survey.coadds import CoAdds
+from surveysim.survey.convergence import convergence_warnings
 from surveysim.survey.discarded_scans import Discards, discards
 from surveysim.survey.error_modes import Gain
 from surveysim.survey.scores import DataSetScore, flux_removed
@@ -135,8 +136,9 @@ class SurveyResult:
 
     @property
     def warnings(self) -> list[str]:
-        """Lines on discarded scans, on the coverage of the signal simulations and on split maps."""
+        """Lines on discarded scans, the coverage of the signal simulations, unconverged maps and split maps."""
         lines = [*self.discards.warnings, *signal_coverage_warnings(self.setup.analysis, self.coadds)]
+        lines += convergence_warnings(self.setup.scene, self.coadds)
         lines += spectra_warnings(self.spectra) if self.spectra else []
         return [*lines, f"spectra: not measured: {self.no_spectra}."] if self.no_spectra else lines
 

@@ -36,7 +36,7 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
     stages |= {item.name: item.sentence for item in present_components(scene)}
     stages |= {step.name: step.sentence for step in present_steps(setup) if step.section != "instrument"}
     stages["cleaning"] = ", ".join(pipeline.label for pipeline in setup.analysis.whole_pipelines)
-    stages["maps"] = f"{setup.analysis.geometry.n_x} x {setup.analysis.geometry.n_y} pixels"
+    stages["maps"] = f"{setup.analysis.geometry.n_x} x {setup.analysis.geometry.n_y} pixels{_maker(scene)}"
     if scene.score:
         n_with_sims = int(signal_sim_observations(scene).sum())
         stages["data sets"] = ", ".join([*setup.analysis.data_set_names, *map(scaled_name, _masked(setup))])
@@ -50,6 +50,18 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
     if scene.map.healpix_nside:
         stages["HEALPix"] = f"maps at nside {scene.map.healpix_nside}"
     return stages
+
+
+def _maker(scene: Scene) -> str:
+    """Say what maps are made by, where they are not binned."""
+    section = scene.map
+    if section.maker == "destriped":
+        return f", destriped with baselines of {section.destriped.baseline_s:g} s"
+    if section.maker == "maximum_likelihood":
+        return (
+            f", of maximum likelihood with the noise in {len(section.likelihood.band_edges_hz) + 1} bands of frequency"
+        )
+    return f", in up to {section.iteration.max_passes} passes over the survey" if section.maker == "iterative" else ""
 
 
 def _masked(setup: Setup) -> list[str]:

@@ -124,6 +124,11 @@ def check_limits(setup: Setup, limits: StoppingCriteria) -> None:
         return
     if score is None:
         raise SceneError("score: missing; a target error is one of a score, which needs it")
+    if setup.scene.map.maker != "binned":
+        raise SceneError(
+            f"map.maker: found {setup.scene.map.maker!r} with a target error; 'binned' is expected, whose error is"
+            " known before the last observation"
+        )
     if limits.metric not in (known := metric_keys(score.metrics)):
         raise SceneError(f"target metric: found {shown(limits.metric)}; one of {', '.join(known)} is expected")
 
@@ -174,6 +179,8 @@ def stop_reason(setup: Setup, limits: StoppingCriteria, done: int, error: float 
 
 def estimate_so_far(setup: Setup, coadds: CoAdds) -> Estimate | None:
     """Return the best estimate from the observations so far; None without one."""
+    if setup.scene.map.solved and not coadds.convergence:
+        return None
     try:
         return best_estimate(quoted_scores(setup, coadds, (ACTUAL,)))
     except InsufficientDataError:  # too few scans are kept so far

@@ -20,6 +20,7 @@ from surveysim.runtime.provenance import made_by, now
 from surveysim.runtime.strict_json import known
 from surveysim.scene.scene import scene_hash
 from surveysim.survey.coadds import row_names
+from surveysim.survey.convergence import map_maker_entry
 from surveysim.survey.scores import DataSetScore
 from surveysim.telescope.scans import samples_per_scan
 
@@ -55,6 +56,8 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "stopped": _stopped_entry(result),
         "scores": {},
     }
+    if setup.scene.map.maker != "binned":
+        content["map_maker"] = map_maker_entry(setup.scene, coadds)
     if setup.scene.losses:
         content["samples_lost"] = float(columns["flagged"].mean())
     if sensed:

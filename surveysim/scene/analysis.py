@@ -1,4 +1,4 @@
-"""Sections [cleaning], [map] and [score]: from time-streams to maps and uncertainties."""
+"""Sections [cleaning] and [score]: from time-streams to uncertainties."""
 
 from typing import Annotated, Literal, Self
 
@@ -10,7 +10,6 @@ from surveysim.scene.fields import (
     Frequencies,
     Frequency,
     Line,
-    Nside,
     Positive,
     PositiveAngle,
     PositiveBandPower,
@@ -138,15 +137,6 @@ class Cleaning(Section):
                 f"responsivities: found {self.responsivities!r} with {', '.join(map(repr, sorted(named)))} alone, which"
                 f" needs none; 'scan' is expected, or an algorithm of {', '.join(map(repr, TEMPLATE_CLEANINGS))}"
             )
-
-
-class MapSection(Section):
-    """Pixels of the maps."""
-
-    pixel_rad: PositiveAngle = Field(alias="pixel")
-    """Side of a square pixel in the tangent plane; a third of the beam FWHM is small enough."""
-    healpix_nside: Nside = None
-    """Nside of additional HEALPix maps."""
 
 
 class SignalSims(Section):

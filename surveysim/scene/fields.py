@@ -319,6 +319,9 @@ Index = Annotated[
 ]
 Frequencies = Annotated[tuple[float, ...], *quantities("Hz", "[1.4, 2.8] Hz", zero_or="1e-6 Hz", at_most="1 GHz")]
 Variances = Annotated[tuple[float, ...], *quantities("mK2", "[1, 2, 5] mK2", zero_or="1e-12 mK2", at_most="1e12 mK2")]
+FrequencyEdges = Annotated[
+    tuple[float, ...], *quantities("Hz", "[0.1, 0.4, 1.6] Hz", zero_or="1e-6 Hz", at_most="1 GHz")
+]
 Waters = Annotated[tuple[float, ...], *quantities("mm", "[0.5, 1, 2] mm", zero_or="1e-6 mm", at_most="1000 mm")]
 # Amplitudes of a power spectrum, whose unit goes with the screen's index: `Atmosphere` makes floats of them.
 B2s = Annotated[tuple[float, ...], _several("mK2 rad(2 - index)", "[100, 280, 980] mK2 rad(-5/3)", B2_MAX)]

@@ -21,11 +21,12 @@ from pydantic.json_schema import SkipJsonSchema
 from surveysim.runtime.errors import InputError, SceneError
 from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.text_files import nested_deeper, one_line, read_text
-from surveysim.scene.analysis import Cleaning, MapSection, Score
+from surveysim.scene.analysis import Cleaning, Score
 from surveysim.scene.assumed_values import assumed_of_site, assumed_values
 from surveysim.scene.error_lines import HIDDEN_KEYS, allowed_keys, error_lines, unknown_key, validation_lines
 from surveysim.scene.fields import Line, whole
 from surveysim.scene.instrument import Instrument
+from surveysim.scene.map_section import MapSection
 from surveysim.scene.noise_and_sky import ONE_NOISE, StreamSections
 from surveysim.scene.numerics import Numerics
 from surveysim.scene.observing import FieldSection, FixedPointing, Schedule

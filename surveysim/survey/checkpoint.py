@@ -16,6 +16,7 @@ import numpy as np
 
 from mapmaker.files import atomic_write
 from surveysim import __version__
+from surveysim.reduction.noise_weights import is_weights_file, weights_file
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import survey_hash
@@ -23,7 +24,7 @@ from surveysim.survey.coadd_tree import is_node
 from surveysim.survey.coadds import LISTS, CoAdds, array_names, empty_coadds, row_names
 from surveysim.telescope.scans import samples_per_scan
 
-NAME = "checkpoint.h5"
+NAME, WEIGHTS = "checkpoint.h5", "noise_weights"
 REASON = 150  # longest reason for refusing a file, in characters
 
 _AGAIN = "delete it and go on with --resume"
@@ -264,6 +265,21 @@ def check_streams(directory: Path, setup: Setup, nodes: Sequence[CoAdds]) -> Non
             raise CheckpointError(
                 f"{path}: not the time-streams of observation {number} of this scene; start anew with --force, or "
                 "write elsewhere with --out"
+            )
+
+
+def weights_directory(checkpoint: Path) -> Path:
+    """Directory of the noise weights beside a checkpoint."""
+    return checkpoint.with_name(checkpoint.name.replace(NAME, WEIGHTS))
+
+
+def check_weights(directory: Path, setup: Setup, nodes: Sequence[CoAdds]) -> None:
+    """Raise CheckpointError unless the noise weights of all finished observations are there."""
+    for number in _numbers(nodes).tolist():
+        if not is_weights_file(path := weights_file(directory, number), setup, number):
+            raise CheckpointError(
+                f"{path}: missing, or not the noise weights of observation {number} of this scene; start anew with"
+                " --force, or write elsewhere with --out"
             )
 
 

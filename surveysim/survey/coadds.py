@@ -13,6 +13,7 @@ import numpy as np
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
 from surveysim.reduction.figure_of_merit import TARGETS, best_places
+from surveysim.reduction.map_noise import weighs_itself
 from surveysim.reduction.observation_result import ObservationResult
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.rng import RandomPurpose, generator
@@ -36,6 +37,28 @@ _ARRAYS = ("sums", "weight", "hits", "flipped", *_OF_SIGNALS, *_OF_SPLITS)
 LISTS = ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd")  # with an entry for each observation
 
 
+@dataclass(frozen=True)
+class Convergence:
+    """Convergence of maps that are solved for.
+
+    Parameters
+    ----------
+    name : str
+        Data set, or "signal simulations".
+    iterations : int
+        Iterations of the conjugate gradients.
+    residual : float
+        Largest residual of the normal equations over their right-hand side, of the map and its jackknives.
+    converged : bool
+        Whether all residuals are within the tolerance.
+    """
+
+    name: str
+    iterations: int
+    residual: float
+    converged: bool
+
+
 @dataclass
 class CoAdds:
     """Sums over `done` observations from number `first` on, with weights w, sums S and exposures H of each.
@@ -45,10 +68,10 @@ class CoAdds:
     sums, weight, hits : (n_set, n_y, n_x)
         Sums of w S, w H and H.
     flipped : (K, n_set, n, n)
-        Sums with random signs on the scored patch; (0, n_set, n, n) of one observation alone, where they follow from
-        `sums`.
+        Sums with random signs on the scored patch, or the whole map before it is solved for; (0, n_set, n, n) of one
+        observation alone, where they follow from `sums`.
     signal_maps : (n_sky, n_transfer, 2, n, n)
-        Signal simulations on the patch.
+        Signal simulations on the same pixels.
     signal_weight : (n_transfer, n, n)
     split_sums, split_weight : (n_map, n, n)
         Sums of w S and w H of the actual data in each part of the splits, on the patch; no maps without splits.
@@ -60,6 +83,8 @@ class CoAdds:
         Noise variances per sample [mK^2].
     raw_psd, clean_psd : (n_obs, n_freq)
     compared_psd : (n_obs, n_compare, n_freq)
+    convergence
+        Convergence of maps that have been solved for.
     """
 
     sums: np.ndarray
@@ -77,6 +102,7 @@ class CoAdds:
     clean_psd: list[np.ndarray] = field(default_factory=list)
     compared_psd: list[np.ndarray] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
+    convergence: tuple[Convergence, ...] = ()
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out of a pickle the arrays that follow from others, in single observations two thirds of the bytes."""
@@ -85,7 +111,8 @@ class CoAdds:
             state |= dict.fromkeys(_OF_SIGNALS)
             state["signal_shapes"] = [getattr(self, name).shape for name in _OF_SIGNALS]
         if self.done == 1 and not len(self.flipped):
-            state |= {"weight": None, "hits": _in_few_bytes(self.hits)}
+            follows = np.array_equal(self.weight, self._weight_of_hits())
+            state |= {"hits": _in_few_bytes(self.hits)} | ({"weight": None} if follows else {})
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -95,7 +122,11 @@ class CoAdds:
         vars(self).update(state)
         self.hits = self.hits.astype(np.int64, copy=False)
         if state["weight"] is None:
-            self.weight = noise_weights(self.noise_mk2()[0])[:, None, None] * self.hits
+            self.weight = self._weight_of_hits()
+
+    def _weight_of_hits(self) -> np.ndarray:
+        """Weight of a single observation whose samples weigh alike."""
+        return noise_weights(self.noise_mk2()[0])[:, None, None] * self.hits
 
     @property
     def done(self) -> int:
@@ -160,7 +191,7 @@ def _empty_patches(analysis: AnalysisSetup, flips: bool) -> dict[str, Any]:
     n_flip = n_sky = n = n_split = n_split_flip = 0
     if analysis.scene.score:
         n_flip, n_sky = analysis.scene.score.jackknives * flips, analysis.n_signal_skies
-        n = len(analysis.region.taper)
+        n = len(range(analysis.geometry.n_y)[analysis.sums_patch])
     if analysis.splits:
         n_split, n_split_flip = analysis.splits.n_map, analysis.scene.spectra.realizations * flips
     return {
@@ -197,7 +228,7 @@ def observation_sums(analysis: AnalysisSetup, result: ObservationResult) -> CoAd
         For other shapes than those of the setup.
     """
     _check_shapes(analysis, result)
-    weights = noise_weights(result.noise_mk2)
+    weights = coadd_weights(analysis, result.noise_mk2)
     found = CoAdds(
         np.multiply(weights[:, None, None], result.sums, dtype=float),
         np.multiply(weights[:, None, None], result.exposure, dtype=float),
@@ -233,7 +264,7 @@ def add_observations(analysis: AnalysisSetup, coadds: CoAdds, observations: Sequ
     for number, item in enumerate(observations, following):
         if (item.first, item.done) != (number, 1):
             raise ValueError(f"found observation {item.first}; {number} is the next in order")
-    patch = analysis.region.patch if analysis.region else slice(0, 0)
+    patch = analysis.sums_patch
     signs = np.stack([jackknife_signs(analysis.scene, item.first) for item in observations], axis=1)
     # All that could fail for want of memory comes before the first sum: none is left half done.
     patches = np.stack([item.sums[:, patch, patch] for item in observations])
@@ -319,6 +350,12 @@ def noise_weights(noise_mk2: np.ndarray) -> np.ndarray:
     return np.divide(1.0, noise_mk2, out=np.zeros_like(noise_mk2), where=known)
 
 
+def coadd_weights(analysis: AnalysisSetup, noise_mk2: np.ndarray) -> np.ndarray:
+    """Factors of the sums of observations in co-adds; 1 where N^-1 has the weight already, 0 without data."""
+    weights = noise_weights(noise_mk2)
+    return (weights > 0).astype(float) if weighs_itself(analysis.scene.map) else weights
+
+
 def lost_scans(analysis: AnalysisSetup, coadds: CoAdds) -> np.ndarray:
     """Count the discarded scans (n_obs, n_set) of each observation so far, by data set.
 
@@ -341,7 +378,7 @@ def kept_shares(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
 
 
 def _add_signal_maps(analysis: AnalysisSetup, coadds: CoAdds, result: ObservationResult, weights: np.ndarray) -> None:
-    patch = analysis.region.patch
+    patch = analysis.sums_patch
     for place, name in enumerate(analysis.transfer_function_names):
         data_set = analysis.data_set_names.index(name)
         coadds.signal_maps[:, place] += weights[data_set] * result.signal_maps[:, place]

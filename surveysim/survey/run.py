@@ -1,21 +1,31 @@
 """A run: all observations through an engine, with a checkpoint."""
 
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import monotonic
 
+from surveysim.reduction.noise_weights import weights_file
 from surveysim.reduction.observation import observe
 from surveysim.reduction.resource_limits import LARGE_SUMS
 from surveysim.reduction.setup import Setup, prepare, signal_sim_observations
 from surveysim.runtime.engine import SERIAL, Engine, EngineError, defer_signals, unordered_map
+from surveysim.runtime.errors import InputError
 from surveysim.scene.scene import Scene
-from surveysim.survey.checkpoint import check_streams, load_checkpoint, save_checkpoint
+from surveysim.survey.checkpoint import (
+    check_streams,
+    check_weights,
+    load_checkpoint,
+    save_checkpoint,
+    weights_directory,
+)
 from surveysim.survey.coadd_tree import CoAddTree, node_bytes
 from surveysim.survey.coadds import CoAdds, observation_sums
 from surveysim.survey.remote_node import SUMS_OF_SPANS, node_of
+from surveysim.survey.solution import Solving, solved_coadds
 from surveysim.survey.spans import Span, Spans
 from surveysim.timestreams.simulation import Angles
 
@@ -35,6 +45,7 @@ class SpanJob:
     scene: Scene
     timestream_dir: Path | None
     angles: Angles | None = None
+    weights_dir: Path | None = None
 
     @cached_property
     def setup(self) -> Setup:
@@ -57,7 +68,9 @@ class SpanJob:
     def _observed(self, observation: int) -> CoAdds:
         with_signal_sims = bool(signal_sim_observations(self.scene)[observation])
         path = None if self.timestream_dir is None else self.timestream_dir / f"{observation:04d}.h5"
-        return observation_sums(self.setup.analysis, observe(self.setup, observation, with_signal_sims, path))
+        weights = None if self.weights_dir is None else weights_file(self.weights_dir, observation)
+        result = observe(self.setup, observation, with_signal_sims, path, weights_path=weights)
+        return observation_sums(self.setup.analysis, result)
 
 
 def finished_sums(setup: Setup, checkpoint: Path, timestream_dir: Path | None = None) -> list[CoAdds]:
@@ -66,9 +79,11 @@ def finished_sums(setup: Setup, checkpoint: Path, timestream_dir: Path | None = 
     Raises
     ------
     CheckpointError
-        For a checkpoint, or time-streams of finished observations, of another scene.
+        For a checkpoint, or time-streams or noise weights of finished observations, of another scene.
     """
     nodes = load_checkpoint(checkpoint, setup) if checkpoint.exists() else []
+    if setup.scene.map.solved:
+        check_weights(weights_directory(checkpoint), setup, nodes)
     if timestream_dir is not None:
         check_streams(timestream_dir, setup, nodes)
     return nodes
@@ -84,8 +99,12 @@ def run_observations(
     timestream_dir: Path | None = None,
     progress: Callable[[CoAddTree], None] = lambda sums: None,
     stops: Callable[[CoAddTree], bool] | None = None,
+    solving: Solving = lambda name, iteration: None,
 ) -> CoAdds:
     """Run the observations of a scene in parallel and add them up; the bits do not depend on the engine.
+
+    Maps that are solved for are solved at the end, from the noise weights in a folder beside the checkpoint, or in a
+    temporary one.
 
     Parameters
     ----------
@@ -102,19 +121,66 @@ def run_observations(
         Called after each observation, or after several that a worker has added up.
     stops
         Called before the first observation and after each: whether to end the run.
+    solving
+        Called before each iteration of the solution.
 
     Raises
     ------
     EngineError
         If the engine fails.
     """
+    with _weights_folder(setup, checkpoint, engine) as weights_dir:
+        coadds = _run_all(
+            setup,
+            checkpoint,
+            engine,
+            nodes=nodes,
+            keep=keep or weights_dir is not None,
+            folders=(timestream_dir, weights_dir),
+            progress=progress,
+            stops=stops,
+        )
+        return coadds if weights_dir is None else solved_coadds(setup, coadds, weights_dir, engine, solving)
+
+
+@contextmanager
+def _weights_folder(setup: Setup, checkpoint: Path | None, engine: Engine) -> Iterator[Path | None]:
+    """Make the folder of the noise weights, one that is removed afterwards without a checkpoint; None for binned maps.
+
+    Raises InputError where workers elsewhere would not reach it.
+    """
+    if not setup.scene.map.solved:
+        yield None
+    elif checkpoint is not None:
+        folder = weights_directory(checkpoint)
+        folder.mkdir(parents=True, exist_ok=True)
+        yield folder
+    elif engine.scheduler is not None:
+        raise InputError(f"map.maker: {setup.scene.map.maker!r} on a cluster needs an output directory; found none")
+    else:
+        with TemporaryDirectory(prefix="surveysim-") as name:
+            yield Path(name)
+
+
+def _run_all(
+    setup: Setup,
+    checkpoint: Path | None,
+    engine: Engine,
+    *,
+    nodes: Sequence[CoAdds],
+    keep: bool,
+    folders: tuple[Path | None, Path | None],
+    progress: Callable[[CoAddTree], None],
+    stops: Callable[[CoAddTree], bool] | None,
+) -> CoAdds:
+    """Run and add up the observations; `folders` are those of time-streams and noise weights."""
     sums = CoAddTree(setup, nodes)
     while sums.advance():
         pass
     keeper = _CheckpointWriter(checkpoint, setup, sums.finished)
     if stops is None or not stops(sums):
         try:
-            _run_missing(setup, sums, keeper, engine, timestream_dir=timestream_dir, progress=progress, stops=stops)
+            _run_missing(setup, sums, keeper, engine, folders=folders, progress=progress, stops=stops)
         except BaseException:
             if sums.finished > keeper.finished:  # an earlier checkpoint may have sums of a cluster that is gone
                 keeper.save(sums)
@@ -122,8 +188,8 @@ def run_observations(
     whole = sums.done == setup.scene.observations
     if keep or not whole:
         keeper.save(sums)
-    if not whole and timestream_dir is not None:
-        _drop_streams(timestream_dir, sums.done, setup.scene.observations)
+    if not whole:
+        _drop_files(folders, sums.done, setup.scene.observations)
     return sums.so_far()
 
 
@@ -133,7 +199,7 @@ def _run_missing(
     keeper: "_CheckpointWriter",
     engine: Engine,
     *,
-    timestream_dir: Path | None,
+    folders: tuple[Path | None, Path | None],
     progress: Callable[[CoAddTree], None],
     stops: Callable[[CoAddTree], bool] | None,
 ) -> None:
@@ -145,9 +211,9 @@ def _run_missing(
     single = stops is not None or alone or node_bytes(setup) > LARGE_SUMS
     spans = Spans(missing, single=single)
     # Workers elsewhere may have another working directory.
-    streams = None if timestream_dir is None else timestream_dir.absolute()
+    streams, weights = (None if folder is None else folder.absolute() for folder in folders)
     angles = setup.observing.angles if missing and engine.kind == "processes" else None
-    results = unordered_map(SpanJob(setup.scene, streams, angles), spans, engine, SUMS_OF_SPANS)
+    results = unordered_map(SpanJob(setup.scene, streams, angles, weights), spans, engine, SUMS_OF_SPANS)
     try:
         for _, result in results:
             node = node_of(result)
@@ -199,7 +265,8 @@ class _CheckpointWriter:
         self.due = end + max(CHECKPOINT_SECONDS, (end - start) / CHECKPOINT_SHARE)
 
 
-def _drop_streams(directory: Path, first: int, end: int) -> None:
-    """Remove streams of observations beyond the end of a stopped run."""
-    for number in range(first, end):
-        (directory / f"{number:04d}.h5").unlink(missing_ok=True)
+def _drop_files(folders: tuple[Path | None, Path | None], first: int, end: int) -> None:
+    """Remove time-streams and noise weights of observations beyond the end of a stopped run."""
+    for folder, suffix in zip(folders, (".h5", ".npz"), strict=True):
+        for number in range(first, end if folder is not None else first):
+            (folder / f"{number:04d}{suffix}").unlink(missing_ok=True)

@@ -21,6 +21,7 @@ from mapmaker.uncertainty import (
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.data_set import DataSet, DataSetKind
+from surveysim.reduction.map_noise import weighs_itself
 from surveysim.reduction.scored_region import N_SECTORS
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InsufficientDataError
@@ -295,6 +296,8 @@ def _noise_psds(analysis: AnalysisSetup, coadds: CoAdds, data_set: int, rings: A
     whole = coadds.done / analysis.scene.observations
     weights = noise_weights(coadds.noise_mk2()[:, data_set])
     independent = 1 - np.sum(weights**2) / np.sum(weights) ** 2  # a single observation can't be favoured
+    if weighs_itself(analysis.scene.map):  # weights are those of time-streams, which few numbers describe
+        independent = 0.0
     return _psd(analysis, maps, rings) * (to_ukcmb**2 * (1 + independent * analysis.region.chance(rings)) * whole)
 
 

@@ -85,14 +85,14 @@ def test_bands_lose_the_same_scans_and_other_bands_have_no_gaps():
 def test_residual_at_10_mhz_is_near_the_instrument_s_noise():
     """SuZIE II came within a factor 1.5 of it (paper, "Prospects"); here over its own level at 1.25 to 2.5 Hz.
 
-    The PSD of 40 observations at 1 Hz scatters by 4.6 % over 8 seeds, so that of 240 by 1.9 %.
+    The PSD of 40 observations at 1 Hz scatters by 4.6 % over 8 seeds, so that of 120 by 2.7 %.
     """
-    result = run(of_band("143", observations=240), engine=SERIAL)
+    result = run(of_band("143", observations=120), engine=SERIAL)
     entries = summary(result)["cleaning"]
     spectral, spatial = (entries[name]["psd_over_white"] for name in ("actual", "average"))
     assert 0.9 < spectral["0.01 Hz"] < 1.5
     assert spectral["0.01 Hz"] < spatial["0.01 Hz"]
-    assert spectral["1 Hz"] == pytest.approx(1, rel=0.06)
+    assert spectral["1 Hz"] == pytest.approx(1, rel=0.08)
 
 
 def test_a_scan_discarded_in_one_band_is_in_all():

@@ -124,6 +124,22 @@ CASES = {
         }
     ),
     "no cleaning": Case({"cleaning.algorithm": "none"}, "scans that share air"),
+    "high-pass, average, one fit to an observation": Case(
+        {
+            "cleaning.algorithm": ["highpass", "average"],
+            "cleaning.highpass_frequency": "0.4 Hz",
+            "cleaning.highpass_order": 2,
+            "cleaning.responsivities": "observation",
+        }
+    ),
+    "average, notches, a polynomial in time": Case(
+        {
+            "cleaning.algorithm": ["average", "notch", "time_polynomial"],
+            "cleaning.notch_frequencies": "[1.0, 1.6] Hz",
+            "cleaning.notch_widths": "[0.1, 0] Hz",
+            "cleaning.time_order": 3,
+        }
+    ),
     "principal components": Case({"cleaning.algorithm": "pca", "cleaning.sigma_cut": 3.0}, "cleaning", UNMASKED),
     "four scans with gaps": Case(
         {"scan.scans": 4, "scan.step": "9 arcmin", "score.size": "24 arcmin"}, "uneven coverage"

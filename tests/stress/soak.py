@@ -61,15 +61,15 @@ def of_observations(root: Path, number: int) -> list[dict[str, float]]:
 
 
 def of_runs(root: Path, number: int) -> list[dict[str, float]]:
-    """Measure after two fifths and all of many runs, every tenth with figures, every twentieth with workers.
+    """Measure after two fifths and all of many runs, every tenth with figures and every tenth with workers.
 
     The first measurement comes after the first run with workers: Python starts a process for their semaphores.
     """
     scene = load_scene(root / "scene.toml", QUICK | {"observations": 4})
     found = []
     for place in range(1, number + 1):
-        engine = SERIAL if place % 20 else Engine(workers=2)
-        run(scene, root / "out", engine=engine, figures=place % 10 == 0)
+        engine = SERIAL if place % 10 else Engine(workers=2)
+        run(scene, root / "out", engine=engine, figures=place % 10 == 5)
         if place in (2 * number // 5, number):
             found.append(state(root / "temporary"))
     return found

@@ -16,7 +16,7 @@ from tests.trees import lost, plant, results
 
 pytestmark = pytest.mark.slow
 
-FEW = 4
+FEW = 2
 SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 
 

@@ -10,7 +10,7 @@ from tests.trees import lost, plant, results
 
 pytestmark = pytest.mark.slow
 
-FEW = 3
+FEW = 2
 LONG = SCENE.replace("observations = 16", "observations = 80")
 # Scene and arguments of each of the two.
 PAIRS = (

@@ -16,7 +16,7 @@ pytestmark = [
 GROWTH = 1.05
 
 
-@pytest.mark.parametrize("what, number", [("observations", 1200), ("runs", 50)])
+@pytest.mark.parametrize("what, number", [("observations", 800), ("runs", 30)])
 def test_soak(what, number):
     environment = os.environ | {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-m", "tests.stress.soak", what, str(number)]

@@ -49,6 +49,8 @@ STREAMS = {
     "focal_plane": PLANE,
 }
 PAIRS = mm.pair_bins(PLANE)
+COUPLING = mm.flat_coupling(TAPER, PIXEL, edges_ell=EDGES, beam=np.ones_like)
+REALIZED = RNG.standard_normal((9, 2))
 
 
 def changed(array, place, value):
@@ -306,6 +308,33 @@ TABLE = [
       "mask": [np.ones(3), np.zeros(3, bool), [1, 0, 1], None]}),
     (mm.estimate_amplitude, {"psd_ukcmb2": np.ones((2, 3)), "noise_psd_ukcmb2": np.ones(3), **BINS},
      {"psd_ukcmb2": [np.ones((2, 4)), np.full(3, np.nan), np.ones(3, complex), "abc", None]}),
+    (mm.flat_coupling, {"taper": TAPER, "pixel_rad": PIXEL, "edges_ell": EDGES, "beam": np.ones_like},
+     {"taper": [*wrong_arrays(TAPER)][1:] + [0 * TAPER], "pixel_rad": wrong_pixels(),
+      "edges_ell": [EDGES[::-1], EDGES[:1], [1.0, np.nan], EDGES[None], "ab", [1e9, 2e9], -EDGES[::-1], None, []],
+      "beam": [lambda ell: -ell, lambda ell: ell[:-1], lambda ell: ell * np.nan, lambda ell: 0 * ell],
+      "transfer": [np.ones(3), np.zeros(2), -np.ones(2), np.ones(2, complex), "ab"],
+      "sky_shape": [(24, 25, 26), (24,), (2.5, 24), ("a", 1)], "cells_per_pixel": WRONG_SIZES[:-3]}),
+    (mm.plane_distortion, {"taper": TAPER, "pixel_rad": PIXEL},
+     {"taper": [*wrong_arrays(TAPER)][1:] + [0 * TAPER], "pixel_rad": wrong_pixels()}),
+    (mm.curved_coupling, {"taper": np.ones(48), "edges_ell": [1.0, 3.0], "beam": np.ones_like},
+     {"taper": [*wrong_arrays(np.ones(48)), np.zeros(48)],
+      "edges_ell": [[3.0, 1.0], [1.0], [1.0, np.nan], [[1.0, 3.0]], "ab", [1.0, 5.0], [-1.0, 3.0], None, []],
+      "beam": [lambda ell: -ell, lambda ell: ell[:-1]], "transfer": [np.ones(3), [0.0], "ab"]}),
+    (mm.cross_band_powers, {"maps_uk": SKIES, "coupling": COUPLING},
+     {"maps_uk": [*wrong_arrays(SKIES), SKIES[:1]], "signal_uk2": [np.ones(3), "ab", np.ones(2, complex)]}),
+    (mm.realized_band_powers, {"maps_uk": SKIES, "coupling": COUPLING},
+     {"maps_uk": [SKIES[..., :-1], SKIES[0], SKIES[:1], changed(SKIES, (0, 0, 0), np.nan), "ab", None]}),
+    (mm.monte_carlo_covariance, {"realized_uk2": REALIZED},
+     {"realized_uk2": [REALIZED[0], REALIZED[:1], REALIZED[None], REALIZED.astype(complex), "ab", None, []]}),
+    (mm.chi_squared, {"residual_uk2": np.ones(2), "covariance": mm.Covariance(np.eye(2), 0)},
+     {"residual_uk2": [np.ones(3), np.ones((1, 2)), np.full(2, np.nan), np.ones(2, complex), "ab", None, []],
+      "covariance": [mm.Covariance(np.eye(3), 0), mm.Covariance(np.full((2, 2), np.nan), 0)],
+      "mask": [np.ones(2), np.zeros(2, bool), [True], "ab"]}),
+    (mm.null_power, {"pair_uk": SKIES[:2], "coupling": COUPLING},
+     {"pair_uk": [SKIES, SKIES[0], SKIES[:2, :-1], changed(SKIES[:2], (0, 0, 0), np.nan), "ab", None]}),
+    (mm.null_test, {"power_uk2": np.ones(2), "realized_uk2": REALIZED},
+     {"power_uk2": [np.ones(3), np.full(2, np.nan), "ab", None], "realized_uk2": [REALIZED[:1], REALIZED[0], None],
+      "mask": [np.ones(2), np.zeros(2, bool), [True]]}),
 ]  # fmt: skip
 CASES = [
     pytest.param(function, right, name, list(values), id=f"{row}-{function.__name__}-{name}")
@@ -342,7 +371,9 @@ def test_every_public_function_has_a_row():
     named = {function.__name__ for function, _, _ in TABLE}
     # These take records that have been checked, or files; maps are above.
     others = {"read_timestreams", "write_timestreams", "read_fits", "write_fits", "write_healpix", "half_difference"}
+    others |= {"read_band_powers", "write_band_powers", "write_null_tests", "write_sacc"}
     records = {"BinnedMap", "Timestreams", "pixel_indices", "scan_velocities", "pair_bins", "measure_wind"}
+    records |= {"ModeCoupling", "BandPowers", "Covariance"}
     assert set(mm.__all__) <= named | others | records
 
 

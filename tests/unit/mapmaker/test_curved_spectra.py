@@ -85,7 +85,7 @@ def test_a_small_field_is_flat():
 
 
 def test_window_of_pixels():
-    """Mean of P_l over pairs of 256 points in seventh pixels; a square of the same area differs by 2 % at 2 nside."""
+    """Mean of P_l over pairs of 256 points in every seventh pixel; squares differ by 2 % at 2 nside."""
     nside, finer, ell = 8, 16, np.array([8, 16])
     found = []
     for pixel in range(0, 12 * nside**2, 7):

@@ -44,8 +44,8 @@ def losing(monkeypatch, lost):
     """Observations that lose so many scans of the actual data, and none of other data, by number (and scene)."""
     observe = survey.observe
 
-    def losing(setup, observation, *rest):
-        result = observe(setup, observation, *rest)
+    def losing(setup, observation, *rest, **options):
+        result = observe(setup, observation, *rest, **options)
         count = lost(setup.scene, observation)
         return replace(result, discarded=(count, *(0 for _ in result.discarded[1:])))
 
