@@ -158,8 +158,8 @@ def _at_sources(asked: np.ndarray, block: CleanedBlock, scatter: np.ndarray) -> 
     n_pass = len(scatter) * len(block.bounds)
     of_pass = detector * len(block.bounds) + block.scan_of_sample()[sample]
     keys, member = np.unique(block.place[detector, sample].astype(np.int64) * n_pass + of_pass, return_inverse=True)
-    value = np.bincount(member, block.data_mk[detector, sample] / scatter[detector])
-    value /= np.sqrt(np.bincount(member))
+    total = np.bincount(member, block.data_mk[detector, sample] / scatter[detector])
+    value = total / np.sqrt(np.bincount(member))
     places, first = np.unique(keys // n_pass, return_index=True)
     for place, group in zip(places, np.split(value, first[1:]), strict=True):
         error = _MEDIAN / np.sqrt(len(group))

@@ -78,7 +78,7 @@ def map_geometry(field: Field, section: MapSection) -> MapGeometry:
         n_x, n_y = (2 * fast_length(int(np.ceil(_EDGE * side / pixel)) + 1) for side in _half_sides(field, section))
         if n_x * n_y > MOST_PIXELS:
             raise OutOfRangeError(
-                f"found scans that need a map of {n_x} x {n_y} pixels; state map.centre and map.size to map a part of them"
+                f"found scans that need a map of {n_x} x {n_y} pixels; state map.centre and map.size to map a part"
             )
     return MapGeometry(*centre, pixel, n_x, n_y)
 
