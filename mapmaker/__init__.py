@@ -78,6 +78,8 @@ _PUBLIC = {
     "cross_band_powers": "cross_spectra",
     "realized_band_powers": "cross_spectra",
     "monte_carlo_covariance": "cross_spectra",
+    "ChiSquared": "null_tests",
+    "NullTest": "null_tests",
     "chi_squared": "null_tests",
     "null_power": "null_tests",
     "null_test": "null_tests",

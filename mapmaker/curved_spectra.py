@@ -33,13 +33,14 @@ class CurvedField:
         maps_uk = reals("maps_uk", maps_uk, (..., *self.shape))
         power = np.empty((*maps_uk.shape[:-1], self.first_ell.size - 1))
         for index in np.ndindex(maps_uk.shape[:-1]):
-            power[index] = self.bin_mean(_power_spectrum(self.taper * maps_uk[index], self.first_ell[-1] - 1))
+            power[index] = self.bin_mean(_power_spectrum(self.taper * maps_uk[index]))
         return power / np.mean(self.taper**2)
 
     def bin_mean(self, of_ell: np.ndarray) -> np.ndarray:
-        """Mean over the modes of each bin, (n_bin,), of values (lmax + 1,) of the multipoles up to the last bin's."""
-        modes = 2 * np.arange(of_ell.size) + 1.0
-        return np.add.reduceat(modes * of_ell, self.first_ell[:-1]) / np.add.reduceat(modes, self.first_ell[:-1])
+        """Mean over the modes of each bin, (n_bin,), of values (n_ell,) of multipoles from 0 to the last bin."""
+        modes = 2 * np.arange(self.first_ell[-1]) + 1.0
+        weighted = modes * of_ell[: modes.size]
+        return np.add.reduceat(weighted, self.first_ell[:-1]) / np.add.reduceat(modes, self.first_ell[:-1])
 
 
 def curved_coupling(
@@ -84,11 +85,11 @@ def curved_coupling(
         raise InsufficientDataError(f"no multipole has {edges_ell[empty]} <= ell < {edges_ell[empty + 1]}")
     field, ell = CurvedField(taper, first_ell), np.arange(3.0 * nside)
     window = beam_power(beam, ell) * healpix_window(ell, nside)
-    transfer, usable = usable_bins(field.bin_mean(window[: first_ell[-1]]), transfer)
+    transfer, usable = usable_bins(field.bin_mean(window), transfer)
     modes, scatter = _coupled_modes(field, nside)
     coupling = ModeCoupling(
         edges_ell=edges_ell,
-        ell=field.bin_mean(ell[: first_ell[-1]]),
+        ell=field.bin_mean(ell),
         transfer=transfer,
         usable=usable,
         response=modes * (window * flat_spectrum_psd(ell)),
@@ -108,7 +109,7 @@ def _coupled_modes(field: CurvedField, nside: int) -> tuple[np.ndarray, np.ndarr
     top, modes = 3 * nside, 2 * np.arange(3 * nside) + 1.0
     n_node = 3 * top // 2 + 1  # exact for products of three polynomials below the order `top`
     cosine, weight = np.cos(GL_thetas(n_node)), GL_weights(n_node, 1) / (2 * np.pi)
-    spectra = np.stack([_power_spectrum(field.taper**power, top - 1) for power in (1, 2)])
+    spectra = np.stack([_power_spectrum(field.taper**power) for power in (1, 2)])
     coefficients = np.concatenate((spectra / (4 * np.pi), _bin_shares(field.first_ell, top))) * modes
     at_nodes = np.zeros((len(coefficients), n_node))
     for l_, wave in enumerate(_legendre(cosine, top)):
@@ -135,10 +136,11 @@ def _legendre(cosine: np.ndarray, top: int) -> Iterator[np.ndarray]:
         before, wave = wave, ((2 * l_ + 1) * cosine * wave - l_ * before) / (l_ + 1)
 
 
-def _power_spectrum(values: np.ndarray, lmax: int) -> np.ndarray:
+def _power_spectrum(values: np.ndarray) -> np.ndarray:
+    """C_l up to 3 nside - 1."""
     from healpy import anafast
 
-    return anafast(values, lmax=int(lmax))
+    return anafast(values)
 
 
 def healpix_window(ell: np.ndarray, nside: int) -> np.ndarray:

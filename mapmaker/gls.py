@@ -16,7 +16,7 @@ The noise is measured in the streams that are mapped, so every fitted number rem
 therefore small: one level w_b a band, one r a detector, and only modes that are significant beyond doubt.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -98,17 +98,27 @@ class NoiseModel:
 
     def apply(self, data_mk: np.ndarray, index: np.ndarray, scan_bounds: np.ndarray) -> np.ndarray:
         """Compute ``N^-1 d``; see `NoiseWeight`. Samples without data have to be filled: they are not left out here."""
-        out = np.zeros_like(data_mk)
-        kind = data_mk.dtype
-        for start, stop in scan_bounds:
-            modes = dct(data_mk[..., start:stop], axis=-1, norm="ortho")
-            weighed = np.zeros_like(modes)
-            bands = band_slices(stop - start, self.sample_rate_hz, self.band_edges_hz)
-            for band, white, shared in zip(bands, self.inverse_white, self.inverse_modes, strict=True):
-                x, u = modes[..., band], shared.astype(kind)
-                weighed[..., band] = white.astype(kind)[:, None] * x - u @ (u.T @ x)
-            out[..., start:stop] = idct(weighed, axis=-1, norm="ortho")
+        out = np.empty_like(data_mk)
+        n_right, n_det, _ = data_mk.shape
+        for n, samples in _scans_of_a_length(scan_bounds):
+            scans = data_mk[..., samples].reshape(n_right, n_det, -1, n).transpose(0, 2, 1, 3)
+            weighed = self._weighed(dct(np.ascontiguousarray(scans), axis=-1, norm="ortho", overwrite_x=True))
+            weighed = idct(weighed, axis=-1, norm="ortho", overwrite_x=True)
+            out[..., samples] = weighed.transpose(0, 2, 1, 3).reshape(n_right, n_det, -1)
         return out
+
+    def _weighed(self, modes: np.ndarray) -> np.ndarray:
+        """Compute N^-1 of cosine modes (n_right, n_scan, n_det, n_samp), in place."""
+        modes[..., 0] = 0
+        bands = band_slices(modes.shape[-1], self.sample_rate_hz, self.band_edges_hz)
+        for band, white, shared in zip(bands, self.inverse_white, self.inverse_modes, strict=True):
+            x, u = modes[..., band], shared.astype(modes.dtype)
+            seen = u @ (u.T @ x)
+            x *= white.astype(modes.dtype)[:, None]
+            x -= seen
+        modes[..., : bands[0].start] = 0
+        modes[..., bands[-1].stop :] = 0
+        return modes
 
     def white(self, scan_bounds: np.ndarray) -> np.ndarray:
         """Weights (n_det, n_scan) of the white noise alone, the mean over all cosine modes; see `NoiseWeight`."""
@@ -117,6 +127,15 @@ class NoiseModel:
             bands = band_slices(n_samp, self.sample_rate_hz, self.band_edges_hz)
             shares.append([(band.stop - band.start) / n_samp for band in bands])
         return self.inverse_white.T @ np.array(shares).T
+
+
+def _scans_of_a_length(scan_bounds: np.ndarray) -> Iterator[tuple[int, slice | np.ndarray]]:
+    """Lengths of scans, and the samples of all scans of each; a slice where these are contiguous."""
+    length = np.diff(scan_bounds, axis=1)[:, 0]
+    for n in np.unique(length).tolist():
+        samples = (scan_bounds[length == n, :1] + np.arange(n)).ravel()
+        together = samples[-1] - samples[0] == len(samples) - 1
+        yield n, slice(int(samples[0]), int(samples[-1]) + 1) if together else samples
 
 
 def _woodbury(inverse_white: np.ndarray, modes: np.ndarray) -> np.ndarray:

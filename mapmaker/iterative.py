@@ -158,7 +158,7 @@ def iterate_map(
         # A signal pixel stays one: at the threshold it would alternate for ever.
         signal |= significant(item, fwhm_rad, options.threshold, options.loss**k)
         estimate = np.where(signal, item.signal_mk, 0.0)
-        change.append(_relative_change(estimate, spared, item.weight))
+        change.append(relative_change(estimate, spared, item.weight))
         converged = change[-1] < options.tolerance
         if converged:
             break
@@ -237,7 +237,8 @@ def _one_pass(
     return replace(total, weighted_sum=total.weighted_sum + estimate * total.weight), fwhm_rad
 
 
-def _relative_change(new: np.ndarray, old: np.ndarray, weight: np.ndarray) -> float:
+def relative_change(new: np.ndarray, old: np.ndarray, weight: np.ndarray) -> float:
+    """Root of the weighted squares of the change of a map, over that of the new map; infinite for a map of zeros."""
     size = np.sqrt(np.sum(weight * new**2))
     step = np.sqrt(np.sum(weight * (new - old) ** 2))
     if step == 0:

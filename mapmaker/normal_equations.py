@@ -113,8 +113,10 @@ def add_normal(block: NormalBlock, skies_mk: np.ndarray, out: np.ndarray) -> Non
 
     The streams are of the type of the skies: float32 takes half the time of float64.
     """
-    padded = np.concatenate([skies_mk, np.zeros((len(skies_mk), 1), skies_mk.dtype)], axis=1)
-    streams = padded[:, block.index]  # -1 is the last pixel: 0
+    from mapmaker.kernels.pixels import look_up
+
+    streams = np.empty((len(skies_mk), *block.index.shape), skies_mk.dtype)
+    look_up(skies_mk, block.index, streams)
     _bin(block, block.noise.apply(streams, block.index, block.scan_bounds), out)
 
 
@@ -129,11 +131,11 @@ def add_diagonal(block: NormalBlock, weight: np.ndarray, hits: np.ndarray) -> No
 
 
 def _bin(block: NormalBlock, weighed: np.ndarray, out: np.ndarray) -> None:
-    for start, stop in block.scan_bounds:
-        pixels = block.index[:, start:stop]
-        seen = pixels >= 0
-        for flat, row in zip(out, weighed[..., start:stop], strict=True):
-            flat += np.bincount(pixels[seen], row[seen], len(flat))
+    from mapmaker.kernels.pixels import bin_samples
+
+    every = np.ones(len(block.scan_bounds), bool)
+    for data, flat_map in zip(weighed, out, strict=True):
+        bin_samples(data, block.index, block.scan_bounds, every, flat_map, None)
 
 
 def normal_matrix(

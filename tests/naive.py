@@ -616,22 +616,26 @@ def mode_response(taper, pixel, edges, sky_shape, cells=1):
     return response / count[:, None, None]
 
 
-def cross_band_powers(maps, taper, pixel, edges, window, sky_shape):
-    """Band powers of the sky: mean cross-power of pairs, binned, over a dense coupling matrix."""
-    k = [2 * np.pi * np.fft.fftfreq(n, pixel) for n in sky_shape]
-    ell = np.hypot(k[0][:, None], k[1])
-    power = window(k[0][:, None], k[1]) * np.where(ell > 0, 2 * np.pi / np.maximum(ell * (ell + 1), 1e-9), 0)
-    of_mode = mode_response(taper, pixel, edges, sky_shape) * power
-    n_bin = len(edges) - 1
+def coupling_matrix(taper, pixel, edges, window, sky_shape):
+    """Mean PSD of the map in each bin per unit band power in each bin; the outer ones have all other multipoles."""
+    k_y, k_x = (2 * np.pi * np.fft.fftfreq(n, pixel) for n in sky_shape)
+    ell, n_bin = np.hypot(k_y[:, None], k_x), len(edges) - 1
+    power = window(k_y[:, None], k_x) * np.where(ell > 0, 2 * np.pi / np.maximum(ell * (ell + 1), 1e-9), 0)
     place = np.array([[min(max(sum(edge <= at for edge in edges) - 1, 0), n_bin - 1) for at in row] for row in ell])
-    matrix = np.array([[row[place == b].sum() for b in range(n_bin)] for row in of_mode])
+    response = mode_response(taper, pixel, edges, sky_shape)
+    return np.array([[np.sum((row * power)[place == b]) for b in range(n_bin)] for row in response])
+
+
+def cross_pseudo_power(maps, taper, pixel, edges):
+    """Mean cross-power of the pairs of tapered maps, in bins."""
     modes = [np.fft.fft2(item * taper) for item in maps]
     pairs = [(a * b.conj()).real for i, a in enumerate(modes) for b in modes[:i]]
     cross = np.mean(pairs, axis=0) * pixel**2 / np.sum(taper**2)
-    k = [2 * np.pi * np.fft.fftfreq(n, pixel) for n in taper.shape]
-    ell = np.hypot(k[0][:, None], k[1])
-    binned = [cross[(ell >= low) & (ell < high)].mean() for low, high in zip(edges[:-1], edges[1:], strict=True)]
-    return np.linalg.solve(matrix, binned)
+    k_y, k_x = (2 * np.pi * np.fft.fftfreq(n, pixel) for n in taper.shape)
+    ell = np.hypot(k_y[:, None], k_x)
+    return np.array(
+        [cross[(ell >= low) & (ell < high)].mean() for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    )
 
 
 def coupling_on_sphere(spectrum, top):

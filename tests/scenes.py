@@ -140,6 +140,15 @@ max_hour_angle = "3 hourangle"
 min_elevation = "40 deg"
 """
 
+# Splits of its data, with band powers and null tests.
+SPECTRA = """
+[spectra]
+splits = ["night", "direction", "array"]
+parts = 2
+ell_bin = 2000
+realizations = 16
+"""
+
 WHITE_NOISE_SCENE = without_sections(SMALL_SCENE, "atmosphere", "excess", "photon", "sky", "score").replace(
     'algorithm = "average"', 'algorithm = "none"'
 )

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from mapmaker.cli.clean_and_map import clean_and_map
+from mapmaker.cli.convert import convert
 from mapmaker.printable import say
 
 app = typer.Typer(
@@ -17,7 +18,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 # The modules of commands import what they need when they run: the help loads neither numpy nor astropy.
-COMMANDS: tuple[Callable[..., None], ...] = (clean_and_map,)
+COMMANDS: tuple[Callable[..., None], ...] = (clean_and_map, convert)
 
 for command in COMMANDS:
     app.command()(command)

@@ -115,11 +115,17 @@ def named_format(name: str) -> TimestreamFormat:
     return FORMATS[name]
 
 
+def suffix(path: str | Path) -> str:
+    """Suffix of a file name that a format has; empty without one."""
+    of_formats = [each for item in FORMATS.values() for each in item.suffixes]
+    name = Path(path).name
+    return next((name[-len(each) :] for each in of_formats if name.lower().endswith(each)), "")
+
+
 def _of_suffix(path: str | Path) -> TimestreamFormat:
-    for item in FORMATS.values():
-        if Path(path).name.lower().endswith(item.suffixes):
-            return item
-    known = ", ".join(suffix for item in FORMATS.values() for suffix in item.suffixes)
+    if found := suffix(path).lower():
+        return next(item for item in FORMATS.values() if found in item.suffixes)
+    known = ", ".join(each for item in FORMATS.values() for each in item.suffixes)
     raise InputError(f"{path}: found no format and no known suffix; one of {known} is expected")
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from mapmaker.errors import ArgumentError, InputError
 from mapmaker.files import one_line
+from mapmaker.printable import printable
 from mapmaker.timestreams import FocalPlane
 from mapmaker.validation import argument_error, reals
 
@@ -25,9 +26,9 @@ def refusals(path: str | Path) -> Iterator[None]:
     try:
         yield
     except (ArgumentError, InputError) as error:
-        raise InputError(f"{path}: {one_line(error)}") from None
+        raise InputError(f"{path}: {printable(one_line(error))}") from None
     except Exception as error:  # libraries raise nearly every kind of exception for a mangled file
-        raise InputError(f"{path}: not a whole time-stream file ({one_line(error)})") from None
+        raise InputError(f"{path}: not a whole time-stream file ({printable(one_line(error))})") from None
 
 
 def group(parent: Any, name: str) -> "h5py.Group":

@@ -71,6 +71,20 @@ def bin_samples(data, index, bounds, kept, weighted_sum, hits):
 
 
 @njit(cache=True, nogil=True)
+def look_up(skies, index, out):
+    """Write the pixel of every sample in each of some flat skies (n_sky, n_pixel) to streams (n_sky, n_det, n_samp).
+
+    Samples off the map (-1) are 0.
+    """
+    for r in range(skies.shape[0]):
+        sky, streams = skies[r], out[r]
+        for d in range(index.shape[0]):
+            for n in range(index.shape[1]):
+                pixel = index[d, n]
+                streams[d, n] = sky[pixel] if pixel >= 0 else 0.0
+
+
+@njit(cache=True, nogil=True)
 def count_samples(index, hits):
     """Add the samples in each pixel to the flat map `hits` (int64), in place; without those off the map (-1)."""
     for d in range(index.shape[0]):

@@ -22,6 +22,7 @@ from surveysim.scene.scene import Scene, load_scene
 from surveysim.scene.shipped import find_scene
 from surveysim.studies.resources import Plan, make_plan
 from surveysim.studies.sweep.axes import is_sweep
+from surveysim.survey.bright_sky import FILE as BRIGHT_SKY
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 from surveysim.survey.checkpoint import WEIGHTS
 from surveysim.survey.coadd_tree import CoAddTree
@@ -96,6 +97,7 @@ def run_survey(
             checkpoint,
             engine,
             nodes=nodes,
+            resume=resume,
             keep=True,
             timestream_dir=streams,
             progress=progress,
@@ -120,6 +122,7 @@ def run_survey(
             numbers = range(result.coadds.done)
             names = [f"timestreams/{number:04d}.h5" for number in numbers if save_timestreams]
             names += [f"{WEIGHTS}/{number:04d}.npz" for number in numbers if setup.scene.map.solved]
+            names += [BRIGHT_SKY] if setup.scene.map.maker == "iterative" else []
             # None of before a resumption that asked for them.
             write_outputs(new, result, figures, [name for name in names if (place.path / name).is_file()])
     return result
@@ -129,7 +132,8 @@ def finished_survey(scene: Scene, out: Path) -> SurveyResult:
     """Score the finished run of a scene in `out` again, from its checkpoint; CheckpointError if that is another's."""
     start, setup, checkpoint = perf_counter(), prepare(scene), out / CHECKPOINT
     nodes = finished_sums(setup, checkpoint)
-    coadds = run_observations(setup, checkpoint if scene.map.solved else None, SERIAL, nodes=nodes)
+    beside = scene.map.maker != "binned"  # the maps need more than the checkpoint
+    coadds = run_observations(setup, checkpoint if beside else None, SERIAL, nodes=nodes, resume=beside)
     return survey_result(setup, coadds, wall_s=perf_counter() - start, workers=1)
 
 

@@ -14,11 +14,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mapmaker.bandpower import BandPower, band_power, flat_spectrum_psd
+from mapmaker.bandpower import BandPower, band_power
 from surveysim.forecasting.closed_forms import CLOSED_FORMS
 from surveysim.forecasting.coverage import mean_hits
+from surveysim.forecasting.map_makers import solved_map, why_not_solved
 from surveysim.forecasting.mode_response import PROJECTIONS
 from surveysim.forecasting.noise_model import NoiseModel, is_projection, survey_models
+from surveysim.forecasting.observation_weights import expected_weights
 from surveysim.forecasting.observing_conditions import (
     ObservingConditions,
     observing_conditions,
@@ -29,6 +31,7 @@ from surveysim.forecasting.response_filters import CLOSED_STEPS
 from surveysim.forecasting.track_motions import track_motions
 from surveysim.forecasting.validity import EffectInputs, NeglectedEffect, neglected_effects
 from surveysim.reduction.analysis import AnalysisSetup
+from surveysim.reduction.scored_region import left_signal
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import NotForecastableError
 from surveysim.survey.discarded_scans import REMEDY
@@ -148,6 +151,8 @@ def forecast(setup: Setup, kept: dict[str, np.ndarray] | None = None) -> Forecas
     for model in models:
         if model.name == model.pipeline.data_set:  # the following sets have the same detectors
             hits = mean_hits(setup, model.pipeline)
+        elif setup.scene.map.solved:
+            continue
         found[model.name] = _scored(setup, model, conditions, kept=scans[model.pipeline.data_set], hits=hits)
     return Forecast(
         setup.analysis.region.rings.ell, {name: found[name] for name in setup.analysis.data_set_names if name in found}
@@ -161,8 +166,6 @@ def can_forecast(setup: Setup) -> bool:
 
 def why_no_forecast(setup: Setup) -> str | None:
     """Name a component, step of the response, cleaning or map-maker without a closed form; None if all have one."""
-    if setup.scene.map.solved:
-        return f"map.maker {setup.scene.map.maker!r} has no closed form"
     for item in present_components(setup.scene):
         if item.name not in CLOSED_FORMS:
             return f"{item.name}: found a section without a closed form"
@@ -171,7 +174,7 @@ def why_no_forecast(setup: Setup) -> str | None:
             return f"{step.section}: found a section without a closed form"
     if not is_projection(setup.analysis.pipelines[0]):
         return f"cleaning by {setup.analysis.pipelines[0].label} is no projection"
-    return None
+    return why_not_solved(setup)
 
 
 def _scored(
@@ -187,18 +190,21 @@ def _scored(
             f"cleaning: rejected all scans {'of a pilot' if kept.error else 'of this run'}; at least one is needed."
             f" {REMEDY}"
         )
-    weight, sampled = (
-        expected_weights(setup.analysis, noise),
-        sampled_share(scene, conditions.white + conditions.shared),
-    )
     # Hits scale with kept scans and samples; the PSD of a survey scales as one over its observations.
-    share = kept.share * sampled
+    share = kept.share * sampled_share(scene, conditions.white + conditions.shared)
     if not share.any():
         raise NotForecastableError(f"{', '.join(scene.losses)}: found all samples lost; some are needed")
-    variance = (weight**2 * share) @ noise / (weight @ share) ** 2 * (len(noise) / scene.observations)
+    weight, signal = expected_weights(setup.analysis, noise), model.signal_psd
+    if scene.map.solved:
+        solved = solved_map(setup, model.pipeline, conditions, share)
+        variance, weight = solved.noise_mk2 / scene.observations, solved.weight
+        signal = left_signal(
+            setup.analysis.beams, setup.analysis.geometry, setup.sky.geometry, band, solved.transmission
+        )
+    else:
+        variance = (weight**2 * share) @ noise / (weight @ share) ** 2 * (len(noise) / scene.observations)
     area = setup.analysis.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
     psd = variance * area * (1e3 * scene.instrument.cmb_per_rj) ** 2
-    signal = model.signal_psd
     score = band_power(
         psd, signal, rings.n_modes, band.selected, ell=rings.ell, edges_ell=rings.edges_ell, relative_error=0.0
     )
@@ -217,29 +223,3 @@ def _nonzero_noise(analysis: AnalysisSetup, model: NoiseModel, conditions: Obser
     if not noise[:, analysis.region.selected].all():
         raise NotForecastableError(NOTHING_FOUND)
     return noise
-
-
-def expected_weights(analysis: AnalysisSetup, noise: np.ndarray) -> np.ndarray:
-    """Expected weights of observations, as a run measures them on their maps.
-
-    Parameters
-    ----------
-    analysis
-    noise : (n_draw, n_bin)
-        Noise variance a sample [mK^2].
-
-    Returns
-    -------
-    (n_draw,) array
-        [1/mK^2].
-    """
-    band = analysis.region
-    sky = _beamed_sky(analysis)
-    weight = band.rings.n_modes * (sky * band.selected / sky[band.selected].max()) ** 2
-    return 1 / (noise @ weight / weight.sum())
-
-
-def _beamed_sky(analysis: AnalysisSetup) -> np.ndarray:
-    ell = analysis.region.rings.ell
-    # The lowest bin of a small map may contain only ell = 0.
-    return flat_spectrum_psd(np.maximum(ell, 1)) * analysis.beams.window(ell)

@@ -38,7 +38,7 @@ from surveysim.forecasting.observing_conditions import (
     white_shapes,
 )
 from surveysim.forecasting.response_filters import gain_variance, stream_filters
-from surveysim.forecasting.time_filters import pipeline_filters
+from surveysim.forecasting.time_filters import ScanFilters, pipeline_filters
 from surveysim.forecasting.track_motions import track_motions
 from surveysim.forecasting.turned_modes import turned_power
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
@@ -46,6 +46,7 @@ from surveysim.reduction.scored_region import left_signal
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InsufficientDataError, NotForecastableError
 from surveysim.runtime.once import keep_last
+from surveysim.scene.scene import Scene
 from surveysim.telescope.pointing_errors import smearing_variance
 from surveysim.timestreams.component import present_components
 from surveysim.timestreams.crosstalk import CrosstalkMatrix
@@ -108,23 +109,26 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
     scene, region = setup.scene, setup.analysis.region
     shapes = white_shapes(setup)
     for pipeline in filter(is_projection, setup.analysis.pipelines):
-        bins = _map_bins(setup, pipeline, conditions, shapes)
+        bins = map_bins(setup, pipeline, conditions, shapes, pipeline_filters(setup, pipeline))
         transmission = _transmission(setup, bins) * conditions.gain.mean() ** 2
         signal = left_signal(setup.analysis.beams, setup.analysis.geometry, setup.sky.geometry, region, transmission)
         n_det = len(bins[0].arrays[0].place)
-        yield NoiseModel(pipeline.data_set, pipeline, n_det, _closed_forms(bins), signal)
+        yield NoiseModel(pipeline.data_set, pipeline, n_det, track_noise(bins), signal)
         if pipeline is setup.analysis.pipelines[0]:
             for name in scene.score.noise_only_sets:
                 of_set = [noise_only_bins(item, name, scene.score.white_noise_above_hz) for item in bins]
-                yield NoiseModel(name, pipeline, n_det, _closed_forms(of_set), signal)
+                yield NoiseModel(name, pipeline, n_det, track_noise(of_set), signal)
 
 
-def _map_bins(
-    setup: Setup, pipeline: CleaningPipeline, conditions: ObservingConditions, shapes: WhiteShapes | None
+def map_bins(
+    setup: Setup,
+    pipeline: CleaningPipeline,
+    conditions: ObservingConditions,
+    shapes: WhiteShapes | None,
+    filters: ScanFilters | None,
 ) -> list[MapBins]:
-    """Set up the bins of a pipeline's map at each speed of the track."""
+    """Set up the bins of a pipeline's map, with filters in time, at each speed of the track."""
     ell, arrays = setup.analysis.region.rings.ell, _arrays(setup, pipeline, conditions)
-    filters = pipeline_filters(setup, pipeline)
     fitted = removed_modes(setup, pipeline, arrays[0], conditions, filters)
     wave = ring_modes(ell).wave.ravel()
     alike: dict[str, Any] = {
@@ -151,11 +155,15 @@ def _map_bins(
     return [MapBins(node=node, frequencies=item, **alike) for node, item in enumerate(frequencies)]
 
 
-def _closed_forms(bins: Sequence[NoiseBins]) -> dict[ClosedForm, Noise]:
+def track_noise(bins: Sequence[NoiseBins]) -> dict[ClosedForm, Noise]:
     """Noise of each term of the components that the scene has a section for, as a mean over the speeds of the track."""
-    present = {item.name for item in present_components(bins[0].scene)}
-    terms = [term for name, terms in CLOSED_FORMS.items() if name in present for term in terms]
-    return {term: _track_mean([term(item) for item in bins]) for term in terms}
+    return {term: _track_mean([term(item) for item in bins]) for term in present_terms(bins[0].scene)}
+
+
+def present_terms(scene: Scene) -> list[ClosedForm]:
+    """Terms of the components that a scene has a section for, each once."""
+    present = {item.name for item in present_components(scene)}
+    return list(dict.fromkeys(term for name, terms in CLOSED_FORMS.items() if name in present for term in terms))
 
 
 def _track_mean(parts: list[Noise]) -> Noise:

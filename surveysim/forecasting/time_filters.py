@@ -12,6 +12,7 @@ streams as the filters before it leave them; the filters after it act on what is
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -72,6 +73,27 @@ def product(filters: Iterable[TimeModes], n_samp: int) -> LinearFilter:
     for item in filters:
         total = total.then(item.modes * item.loss, item.modes, item.odd)
     return total
+
+
+def baseline_filter(n_samp: int, length: int) -> LinearFilter:
+    """Operator that removes the mean of each piece of a scan, of `length` samples or nearly, but for the scan's mean.
+
+    The pieces are those of `mapmaker.destriping`, symmetric about the middle of the scan.
+    """
+    n_piece = max(1, round(n_samp / length))
+    edges = np.linspace(0, n_samp, n_piece + 1).round().astype(int)
+    edges = np.where(np.arange(n_piece + 1) <= n_piece / 2, edges, n_samp - edges[::-1])
+    pieces = np.zeros((n_samp, n_piece))
+    for number, (first, end) in enumerate(itertools.pairwise(edges)):
+        pieces[first:end, number] = 1.0
+    parts = []
+    for sign in (1, -1):
+        columns = pieces + sign * pieces[::-1]
+        columns -= columns.mean(axis=0)
+        vectors, values, _ = np.linalg.svd(columns, full_matrices=False)
+        parts.append(vectors[:, values > 1e-9])
+    modes = np.hstack(parts)
+    return LinearFilter(modes, modes, np.repeat([False, True], [item.shape[1] for item in parts]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,6 @@
-"""Amplitude of map modes as a mean over scans along many directions."""
+"""Amplitude and noise of map modes as means over scans along many directions."""
+
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -25,16 +27,33 @@ def turned_power(modes: Modes, amplitude: np.ndarray, directions: np.ndarray, sh
     -------
     (n_bin,) array
     """
-    n_place, _, n = directions.shape
-    along, power = np.einsum("psd,p->pd", directions, share), np.zeros(amplitude.shape[1:])
+    power = np.zeros(amplitude.shape[1:])
+    for weight, mean in turned_means(modes, amplitude, directions, share):
+        power += np.tensordot(weight, mean.real**2 + mean.imag**2, 1)
+    return modes.mean(power.ravel())
+
+
+def turned_means(
+    modes: Modes, values: np.ndarray, directions: np.ndarray, share: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Average values of map modes over the scans of each place, at the azimuths about each direction in turn.
+
+    Parameters and shapes are those of `turned_power`, with `values` as its amplitude.
+
+    Yields
+    ------
+    weight : (n_place,)
+        Weight of the direction in each place, times that of the place.
+    mean : (n_place, n_bin, n_angle)
+    """
+    _, _, n = directions.shape
+    along = np.einsum("psd,p->pd", directions, share)
     used = np.flatnonzero(along.any(axis=0))
     steps = (used[:, None] - used) % n  # to each direction, from beyond the first one where it is before
-    turned = dict(zip(found := np.unique(steps), _turned(modes, amplitude, np.pi / n * found), strict=True))
+    turned = dict(zip(found := np.unique(steps), _turned(modes, values, np.pi / n * found), strict=True))
     for number, row in zip(used, steps, strict=True):
         seen = [turned[step].conj() if other > number else turned[step] for other, step in zip(used, row, strict=True)]
-        mean = np.tensordot(directions[:, :, used].transpose(0, 2, 1), np.array(seen), 2)
-        power += np.tensordot(along[:, number], mean.real**2 + mean.imag**2, 1)
-    return modes.mean(power.ravel())
+        yield along[:, number], np.tensordot(directions[:, :, used].transpose(0, 2, 1), np.array(seen), 2)
 
 
 def _turned(modes: Modes, amplitude: np.ndarray, turn_rad: np.ndarray) -> np.ndarray:

@@ -136,17 +136,17 @@ def neglected_effects(setup: Setup, inputs: EffectInputs) -> tuple[NeglectedEffe
 def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEffect]:
     if inputs.pipeline.takes_responsivities:
         yield _discarded(inputs.kept)
-    if setup.scene.turbulent:
+    if setup.scene.map.solved:
+        yield _map_maker(setup, inputs)
+    elif setup.scene.turbulent:
         yield _repeated_layer(setup, inputs)
         if inputs.pipeline.spatial_step != "none":
             if inputs.tracks.straight:
                 yield _stripes(inputs)
             yield _scattered(setup.analysis.region, inputs)
-        if (name := inputs.pipeline.spatial_step) in _APPROXIMATE:
-            sentence = (
-                f"Cleaning {_APPROXIMATE[name]} is approximated by average subtraction, with an unknown difference."
-            )
-            yield NeglectedEffect("cleaning", None, sentence, True)
+    if setup.scene.turbulent and (name := inputs.pipeline.spatial_step) in _APPROXIMATE:
+        sentence = f"Cleaning {_APPROXIMATE[name]} is approximated by average subtraction, with an unknown difference."
+        yield NeglectedEffect("cleaning", None, sentence, True)
     if setup.scene.crosstalk is not None and inputs.pipeline.detectors is not None:
         yield _crosstalk(setup, inputs.pipeline)
     if setup.scene.losses:
@@ -171,6 +171,11 @@ def _discarded(kept: KeptScans) -> NeglectedEffect:
         known = f"{100 * share:.1f} +- {100 * error:.1f} %"
         sentence = f"Cleaning discards {known} of the scans, by a pilot; the noise is that of the kept scans."
     return NeglectedEffect("discarded scans", share, sentence, share > MOST_DISCARDED)
+
+
+def _map_maker(setup: Setup, inputs: EffectInputs) -> NeglectedEffect:
+    sentence = "TODO"
+    return NeglectedEffect("map-maker", None, sentence, False)
 
 
 def _return_s(setup: Setup, tracks: TrackMotions) -> float:

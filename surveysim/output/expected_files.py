@@ -19,6 +19,7 @@ from surveysim.studies.sweep.axes import Sweep, sweep_hash
 from surveysim.studies.sweep.bands import MultiBandSweep, band_sweep_hash
 from surveysim.studies.sweep.point_run import Stage
 from surveysim.studies.sweep.rounds import SweepLimits, round_ends
+from surveysim.survey.bright_sky import FILE as BRIGHT_SKY
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 from surveysim.survey.checkpoint import WEIGHTS
 
@@ -58,8 +59,7 @@ def of_run(setup: Setup, figures: bool, timestreams: bool) -> Results:
     """Return the results of a run of a scene."""
     scene = setup.scene
     names = [CHECKPOINT, *_run_names(scene), *_map_names(setup), *(_figure_names() if figures else ())]
-    if scene.map.solved:
-        names += [f"{WEIGHTS}/{number:04d}.npz" for number in range(scene.observations)]
+    names += _beside_checkpoint(scene)
     if timestreams:
         names += [f"timestreams/{number:04d}.h5" for number in range(scene.observations)]
     return Results("run", scene.name, scene_hash(scene), tuple(names), scene_files(scene), extends=survey_hash(scene))
@@ -135,7 +135,17 @@ def of_budget(budget: Budget, simulate: bool, figures: bool) -> Results:
 
 
 def _kept_points(sweep: Sweep) -> list[str]:
-    return [f"points/{point.number:03d}.{kind}" for point in sweep.points for kind in ("npz", "checkpoint.h5")]
+    names = [f"points/{point.number:03d}.{kind}" for point in sweep.points for kind in ("npz", "checkpoint.h5")]
+    for point in sweep.points:
+        names += [f"points/{point.number:03d}.{name}" for name in _beside_checkpoint(point.scene)]
+    return names
+
+
+def _beside_checkpoint(scene: Scene) -> list[str]:
+    """Files that maps other than binned ones keep beside the checkpoint."""
+    if scene.map.maker == "iterative":
+        return [BRIGHT_SKY]
+    return [f"{WEIGHTS}/{number:04d}.npz" for number in range(scene.observations * scene.map.solved)]
 
 
 def of_optimise(problem: Problem, figures: bool) -> Results:

@@ -67,7 +67,7 @@ def reduce_block(
     """Draw and clean one block of an observation with the pointing `whole`; without delays they are the block's own."""
     streams = draw_block(setup, observation, whole, block, watch)
     pointing, plane, pipelines = streams.of.pointing, streams.focal_plane, live_pipelines(setup, streams.live)
-    data_mk = streams.filled(streams.data_mk)
+    data_mk = streams.filled(_less_bright_sky(setup, streams))
     with watch("wind"):
         bands = _other_bands(setup, observation, whole, block, streams.data_mk)
         delays = block_delays(setup, streams) if delays_s_rad is None else delays_s_rad[block.first : block.end]
@@ -86,6 +86,16 @@ def reduce_block(
             )
         cleaned.append(item)
     return CleanedBlock(setup, observation, block, pointing, streams, data_mk, pipelines, auxiliary, tuple(cleaned))
+
+
+def _less_bright_sky(setup: Setup, streams: DrawnBlock) -> np.ndarray:
+    """Subtract the bright sky, as detectors of unit responsivity see it; the streams themselves without one."""
+    if setup.bright_sky_mk is None:
+        return streams.data_mk
+    of, plane = streams.of.pointing, streams.focal_plane
+    index = boresight_pixels(setup.analysis.geometry, of.xi_rad, of.eta_rad, of.array_angle_rad, plane=plane)
+    padded = np.append(setup.bright_sky_mk, 0.0).astype(streams.data_mk.dtype)  # index -1, off the map, is the last
+    return streams.data_mk - padded[index]
 
 
 def _other_bands(setup: Setup, observation: int, whole: Pointing, block: Block, data_mk: np.ndarray) -> np.ndarray:

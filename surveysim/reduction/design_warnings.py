@@ -14,6 +14,7 @@ from surveysim.reduction.filter_checks import filtered_share
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.numbers import plural
 from surveysim.scene.detector_table import KEY
+from surveysim.scene.spectra import NIGHT
 from surveysim.telescope.optics import scene_chain
 from surveysim.telescope.patterns.figures import Figure, covered_width
 from surveysim.telescope.patterns.raster import Raster
@@ -26,6 +27,7 @@ from surveysim.timestreams.simulation import boresight_path, camera_white, obser
 
 MOST_APART = 0.02  # of two conversions to CMB temperature
 MOST_LOST = 0.2  # of the samples
+FEWEST_IN_PART = 8  # observations, whose random signs know the noise of a part to about an eighth
 MOST_FILTERED = 0.01  # of the white noise
 LONG_GAP = 10  # in a track, in typical steps
 FIRST = 4  # observations that tell the reach of a pattern
@@ -236,6 +238,27 @@ def _few_blocks(setup: Setup) -> str:
     )
 
 
+def _few_realizations(setup: Setup) -> str:
+    """Warn of parts with few observations, and of realizations that do not suffice for a chi-squared."""
+    section, splits = setup.scene.spectra, setup.analysis.splits
+    if section is None:
+        return ""
+    score = setup.scene.score
+    bins = (score.ell_max - score.ell_min) // section.ell_bin
+    if section.realizations < bins + 3:
+        return (
+            f"spectra.realizations: {section.realizations} realizations do not measure the covariance of"
+            f" {plural(bins, 'bin')}; {bins + 3} or more are needed for a chi-squared."
+        )
+    fewest = int(np.bincount(splits.night_parts).min()) if splits.of(NIGHT) else setup.scene.observations
+    if fewest >= FEWEST_IN_PART:
+        return ""
+    return (
+        f"spectra: a part has {plural(fewest, 'observation')}; {FEWEST_IN_PART} or more are needed to trust the errors"
+        " of band powers and null tests."
+    )
+
+
 def _filtered_white(setup: Setup) -> str:
     """Warn of filters in time that remove noise from the range in which the white level is measured."""
     score, scans = setup.scene.score, setup.observing.scans
@@ -264,5 +287,6 @@ CHECKS: tuple[Callable[[Setup], str], ...] = (
     _conversions,
     _lost_samples,
     _few_blocks,
+    _few_realizations,
     _filtered_white,
 )

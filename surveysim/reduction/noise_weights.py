@@ -52,9 +52,13 @@ def measured_weight(setup: Setup, rows: np.ndarray | slice, data_mk: np.ndarray,
     section, rate = setup.scene.map, setup.observing.scans.sample_rate_hz
     if section.maker == "destriped":
         weight = setup.analysis.weight_of(rows)
-        length = max(2, round(section.destriped.baseline_s * rate))
-        return BaselineWeight(np.ones(len(data_mk)) if weight is None else weight, length)
+        return BaselineWeight(np.ones(len(data_mk)) if weight is None else weight, baseline_samples(setup))
     return measure_noise(data_mk, bounds, rate, noise_options(section))
+
+
+def baseline_samples(setup: Setup) -> int:
+    """Samples of a baseline of a destriped map."""
+    return max(2, round(setup.scene.map.destriped.baseline_s * setup.observing.scans.sample_rate_hz))
 
 
 def block_weights(

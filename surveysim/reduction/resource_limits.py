@@ -29,6 +29,7 @@ MANY_SAMPLES = 1e9  # detector-samples; each takes 0.07 to 6 microseconds of a c
 LEAF = 16  # observations that are added one after the other; groups of them are added in pairs
 LARGE_SUMS = 128e6  # bytes: larger sums over observations are held once
 MANY_PIXELS = 4e6  # map pixels: a minute for the skies and the score
+SOLVED_MAPS = 12.0  # maps in double precision that conjugate gradients hold for each right-hand side
 MOST_DRAWN = 1000  # most observations whose weather is drawn for the check
 
 
@@ -166,7 +167,8 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     much.
     """
     real = 4 if scene.numerics.precision == "float32" else 8
-    n_freq, patch, flips = of.n_samp // 2 + 1, of.n_patch**2, scene.score.jackknives if scene.score else 0
+    n_freq, flips = of.n_samp // 2 + 1, scene.score.jackknives if scene.score else 0
+    patch = of.n_pixel if scene.map.solved else of.n_patch**2
     skies = of.n_sky * (8 * 4 * of.n_beam * of.n_pixel + 16 * of.n_transfer * of.n_pixel + 40 * of.n_transfer * patch)
     shared = any(section and section.coherence != "none" for section in (scene.photon, scene.excess))
     pairs = of.n_det**2 if shared and of.n_det <= MOST_DENSE else 0
@@ -186,7 +188,7 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
         "scan.sample_rate": 100.0 * scene.scan.scans * of.n_samp,
         "map.pixel": 64.0 * of.n_set * of.n_pixel + (140.0 * of.n_pixel if scene.sky or scene.score else 0),
         "score.signal_sims.skies": float(skies),
-        "score.jackknives": 12.0 * flips * of.n_set * patch + more_sums,
+        "score.jackknives": 12.0 * flips * of.n_set * patch + more_sums + _solution_memory(scene, of),
         "spectra.realizations": 2 * splits,
         "score.size": 110.0 * of.n_pad**2,
         "atmosphere.layer_height": 32.0 * of.strip_elements,
@@ -201,6 +203,12 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
 def _events(scene: Scene) -> dict[str, Glitches | DroppedSamples | None]:
     """Sections, by the key of their rate, of random events in the streams."""
     return {"glitches.rate": scene.glitches, "dropped_samples.rate": scene.dropped_samples}
+
+
+def _solution_memory(scene: Scene, of: Sizes) -> float:
+    """Memory [bytes] of the conjugate gradients of a map that is solved for, with its jackknives."""
+    flips = scene.score.jackknives if scene.score else 0
+    return SOLVED_MAPS * 8.0 * (1 + flips) * of.n_pixel if scene.map.solved else 0.0
 
 
 def _cleaning_memory(scene: Scene, of: Sizes) -> float:

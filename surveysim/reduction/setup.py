@@ -80,10 +80,12 @@ class Setup(Simulation):
     """A scene made ready to draw and to analyse: camera, observing, air, sky and analysis.
 
     `others` are the other bands of the camera, made ready to draw; none unless a pipeline subtracts them.
+    `bright_sky_mk` (n_y, n_x) is subtracted from the streams before cleaning, in passes of an iterative map-maker.
     """
 
     analysis: AnalysisSetup
     others: tuple[Simulation, ...] = ()
+    bright_sky_mk: np.ndarray | None = None
 
     @property
     def key(self) -> Hashable:

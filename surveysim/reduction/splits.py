@@ -2,7 +2,8 @@
 
 Parts of the split by night are whole nights, or single observations without dates, dealt out in turn. Turns rotate:
 with an even number of parts one part would otherwise have all scans along right ascension. The rule does not depend on
-the length of a survey. The halves of the array lie on both sides of its median along x.
+the length of a survey. The halves of the array are interleaved: cleaning acts alike on both, whereas it takes other
+modes of the sky from one side of the array than from the other.
 """
 
 from dataclasses import dataclass
@@ -15,7 +16,8 @@ from surveysim.runtime.numbers import plural
 from surveysim.scene.scene import Scene
 from surveysim.scene.spectra import ARRAY, DIRECTION, FEWEST_OBSERVATIONS, NIGHT
 
-_HALVES = {DIRECTION: ("there", "back"), ARRAY: ("x_low", "x_high")}
+_ROW_RAD = 1e-9  # detectors at y within so little are in one row
+_HALVES = {DIRECTION: ("there", "back"), ARRAY: ("even", "odd")}
 
 
 @dataclass(frozen=True)
@@ -141,8 +143,10 @@ def _nights(scene: Scene, start_mjd: np.ndarray, block: np.ndarray | None) -> np
 
 
 def _halves(plane: FocalPlane) -> np.ndarray:
-    half = np.zeros(len(plane.x_rad), int)
-    half[np.argsort(plane.x_rad, kind="stable")[(len(half) + 1) // 2 :]] = 1
+    """Half of each detector (n_det,): every second one, in rows along x."""
+    rows = np.round(plane.y_rad / _ROW_RAD)
+    half = np.empty(len(rows), int)
+    half[np.lexsort((plane.x_rad, rows))] = np.arange(len(rows)) % 2
     return half
 
 

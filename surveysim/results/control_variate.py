@@ -11,8 +11,9 @@ import numpy as np
 
 from mapmaker.bandpower import bin_weights, flat_band_power
 from mapmaker.uncertainty import information_shares
-from surveysim.forecasting.forecast import Forecast, can_forecast, expected_weights
+from surveysim.forecasting.forecast import Forecast, can_forecast
 from surveysim.forecasting.noise_model import NoiseModel, survey_models
+from surveysim.forecasting.observation_weights import expected_weights
 from surveysim.forecasting.observing_conditions import observing_conditions, population_conditions, survey_draws
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.setup import Setup
@@ -68,9 +69,12 @@ def controls(setup: Setup, coadds: CoAdds) -> dict[str, Control]:
 
 
 def known_expectations(setup: Setup) -> dict[str, Expectation]:
-    """Return the `expectations` of a scene, empty without any."""
+    """Return the `expectations` of a scene; empty without any, and for maps that are solved for.
+
+    The noise of these is no sum over observations.
+    """
     try:
-        return expectations(setup) if can_forecast(setup) else {}
+        return expectations(setup) if can_forecast(setup) and not setup.scene.map.solved else {}
     except InputError:
         return {}
 

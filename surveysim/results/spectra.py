@@ -19,6 +19,17 @@ Content = Mapping[str, Any]  # entry `spectra` of summary.json
 MOST_UNSEEN = 0.01  # of the patch
 SUSPECT = 1e-3  # probability to exceed, below which a test has failed
 _MEASURED = "power_uk2", "monte_carlo_error_uk2"
+_PARTS = {
+    "direction": (
+        "scans there and scans back, of the same observations. They cover other rows of the field, so their filters"
+        " differ by a few percent, which a null test sees in bright skies."
+    ),
+    "array": "two halves of the array, every second detector, in the same observations.",
+}
+_SHARED = (
+    "The parts share the atmosphere and the cleaning, so their cross-spectrum has a noise bias, which random signs of"
+    " the observations measure. It is not removed."
+)
 _BIAS = "noise_bias_uk2", "noise_bias_error_uk2"
 
 
@@ -148,11 +159,7 @@ def _sentence(name: str, item: Content) -> str:
         text = f"{name}: {len(item['parts'])} parts of {counts} {what}, dealt out in turn."
         weather = " Observations of one night share the weather, so a night is never divided."
         return text + weather * ("nights" in item)
-    parts = {"direction": "scans there and scans back", "array": "halves of the array on both sides of its median in x"}
-    return (
-        f"{name}: {parts[name]}, of the same observations. They share the atmosphere and the cleaning, so their"
-        " cross-spectrum has a noise bias, which random signs of the observations measure. It is not removed."
-    )
+    return f"{name}: {_PARTS[name]} {_SHARED}"
 
 
 def split_spectra_table(spectra: SurveySpectra, meta: Content) -> Table:

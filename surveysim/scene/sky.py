@@ -207,6 +207,12 @@ class Sky(Section):
         """Multipoles (n,) and band powers (n,) [uK_CMB^2] of the file `spectrum`."""
         return read_spectrum_file(self.spectrum, self.spectrum_kind)
 
+    def tabulated_power(self, ell: np.ndarray) -> np.ndarray:
+        """Band powers [uK_CMB^2] of the file `spectrum`; 0 off its multipoles, and without it."""
+        if self.spectrum is None:
+            return np.zeros(np.shape(ell))
+        return np.interp(ell, *self.spectrum_table, left=0.0, right=0.0)
+
     @property
     def is_random(self) -> bool:
         """Whether a part of the sky is drawn at random."""

@@ -17,8 +17,10 @@ from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.results.results import survey_result
 from surveysim.results.stages import left_out, stages_that_run
 from surveysim.runtime.memory import peak_bytes
+from surveysim.studies.solution_cost import NO_SOLUTION, solution_cost
 from surveysim.survey.coadd_tree import node_bytes, nodes_of_all
 from surveysim.survey.coadds import CoAdds, add_observations, empty_coadds, observation_sums
+from surveysim.survey.solution import on_scored_patch
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.component import present_components
 from surveysim.timestreams.observed_block import observation_weather
@@ -43,8 +45,9 @@ class Plan:
         What each stage does, and why other stages are left out, by name.
     detector_samples
         Samples of all detectors and observations.
-    wall_s, figures_s
-        Run time on an idle machine [s], and its part for figures.
+    wall_s, figures_s, solution_s
+        Run time on an idle machine [s], and its parts for figures and for maps that are solved for. An iterative map
+        takes all its passes.
     memory_bytes
         Memory of the largest process.
     output_bytes, timestream_bytes
@@ -56,6 +59,7 @@ class Plan:
     detector_samples: int
     wall_s: float
     figures_s: float
+    solution_s: float
     memory_bytes: float
     output_bytes: float
     timestream_bytes: float
@@ -98,6 +102,10 @@ def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
         measured = _measure(setup) if len(setup.observing.blocks) == 1 else _measure_block(setup)
     observing_s = (scene.observations - n_with_sims) * measured.plain_s + n_with_sims * measured.with_sims_s
     working_s = (observing_s + scene.observations * measured.adding_s) / parallel
+    if scene.map.maker == "iterative":
+        working_s *= scene.map.iteration.max_passes
+    solution = solution_cost(setup) if scene.map.solved else NO_SOLUTION
+    working_s += solution.seconds / parallel
     figures_s = start_s * (SCORE_FIGURE_STARTS if scene.score else FIGURE_STARTS)
     samples = setup.camera.n_det * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
     coadds = empty_coadds(setup.analysis)
@@ -109,7 +117,8 @@ def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
         detector_samples=samples * scene.observations,
         wall_s=(1 + (parallel > 1)) * start_s + measured.first_s + working_s + measured.scoring_s + figures_s,
         figures_s=figures_s,
-        memory_bytes=measured.memory_bytes + (held - 1) * sums + FIGURE_BYTES,
+        solution_s=solution.seconds / parallel,
+        memory_bytes=measured.memory_bytes + (held - 1) * sums + FIGURE_BYTES + solution.memory_bytes,
         output_bytes=0.6 * maps + 400 * scene.observations + nodes_of_all(setup) * sums,
         timestream_bytes=4.0 * samples * scene.observations,
     )
@@ -176,6 +185,8 @@ def _add(setup: Setup, coadds: CoAdds, result: ObservationResult) -> None:
 
 def _scoring(setup: Setup, coadds: CoAdds) -> float:
     """Time to score the sums [s]; it does not depend on the number of observations."""
+    if setup.scene.map.solved:
+        coadds = on_scored_patch(setup.analysis, coadds)
     return _timed(partial(survey_result, wall_s=0.0, workers=1), setup, coadds)[0] if setup.scene.score else 0.0
 
 

@@ -51,11 +51,17 @@ def save_checkpoint(path: Path, nodes: Sequence[CoAdds], setup: Setup) -> None:
         "version": __version__,
         "pointing": _pointing_hash(setup, numbers),
     }
-    meta |= _extent(setup)
+    meta |= _extent(setup) | _subtracted(setup)
     content = _packed(nodes, (*array_names(setup.analysis), *LISTS), meta)
     with atomic_write(path) as partial, open(partial, "wb") as file:
         file.write((_MARK + sha256(content).hexdigest().encode()).ljust(_USER_BLOCK, b"\0"))
         file.write(content)
+
+
+def _subtracted(setup: Setup) -> dict[str, str]:
+    """Identify the bright sky that the streams of a pass are cleaned without."""
+    sky = setup.bright_sky_mk
+    return {} if sky is None else {"bright_sky": sha256(np.ascontiguousarray(sky).tobytes()).hexdigest()}
 
 
 def _extent(setup: Setup) -> dict[str, int]:
@@ -92,7 +98,7 @@ def _packed(nodes: Sequence[CoAdds], names: Sequence[str], meta: Mapping[str, An
 
 
 def load_checkpoint(path: Path, setup: Setup) -> list[CoAdds]:
-    """Read the nodes of a survey's sums, in order.
+    """Read the nodes of a survey's sums, in order; none from an earlier pass of an iterative map-maker.
 
     Raises
     ------
@@ -110,6 +116,8 @@ def load_checkpoint(path: Path, setup: Setup) -> list[CoAdds]:
         with h5py.File(BytesIO(raw), "r") as file:
             meta = read_meta(file.attrs["meta"])
             check_origin(path, meta, survey_hash(setup.scene))
+            if meta.get("bright_sky") != _subtracted(setup).get("bright_sky"):
+                return []
             nodes = [_checked_node(file[name], setup) for name in sorted(file)]
     except CheckpointError:
         raise

@@ -3,10 +3,12 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import monotonic
+
+import numpy as np
 
 from surveysim.reduction.noise_weights import weights_file
 from surveysim.reduction.observation import observe
@@ -15,6 +17,16 @@ from surveysim.reduction.setup import Setup, prepare, signal_sim_observations
 from surveysim.runtime.engine import SERIAL, Engine, EngineError, defer_signals, unordered_map
 from surveysim.runtime.errors import InputError
 from surveysim.scene.scene import Scene
+from surveysim.survey.bright_sky import WHAT as BRIGHT_SKY
+from surveysim.survey.bright_sky import (
+    bright_sky_file,
+    load_bright_sky,
+    next_sky,
+    no_bright_sky,
+    restored,
+    save_bright_sky,
+    with_estimate,
+)
 from surveysim.survey.checkpoint import (
     check_streams,
     check_weights,
@@ -46,11 +58,12 @@ class SpanJob:
     timestream_dir: Path | None
     angles: Angles | None = None
     weights_dir: Path | None = None
+    bright_sky_mk: np.ndarray | None = None
 
     @cached_property
     def setup(self) -> Setup:
         """The scene made ready, once in each worker."""
-        setup = prepare(self.scene)
+        setup = replace(prepare(self.scene), bright_sky_mk=self.bright_sky_mk)
         if self.angles is None:
             return setup
         return replace(setup, observing=replace(setup.observing, known_angles=self.angles))
@@ -81,6 +94,8 @@ def finished_sums(setup: Setup, checkpoint: Path, timestream_dir: Path | None = 
     CheckpointError
         For a checkpoint, or time-streams or noise weights of finished observations, of another scene.
     """
+    if setup.scene.map.maker == "iterative":
+        setup = with_estimate(setup, load_bright_sky(bright_sky_file(checkpoint), setup))
     nodes = load_checkpoint(checkpoint, setup) if checkpoint.exists() else []
     if setup.scene.map.solved:
         check_weights(weights_directory(checkpoint), setup, nodes)
@@ -95,6 +110,7 @@ def run_observations(
     engine: Engine = SERIAL,
     *,
     nodes: Sequence[CoAdds] = (),
+    resume: bool = False,
     keep: bool = False,
     timestream_dir: Path | None = None,
     progress: Callable[[CoAddTree], None] = lambda sums: None,
@@ -113,6 +129,8 @@ def run_observations(
         (KeyboardInterrupt and errors pass on).
     nodes
         Sums over finished observations (`finished_sums`) to go on from.
+    resume
+        Whether to go on from the passes of an iterative map-maker whose bright sky is beside the checkpoint.
     keep
         Whether to write the checkpoint of a whole run too, so that later runs add observations.
     timestream_dir
@@ -129,11 +147,16 @@ def run_observations(
     EngineError
         If the engine fails.
     """
+    if setup.scene.map.maker == "iterative":
+        if stops is not None:
+            raise InputError("map.maker: found 'iterative' with a limit; it runs whole passes over the survey")
+        run = partial(_run_all, engine=engine, folders=(timestream_dir, None), progress=progress, stops=None)
+        return _run_passes(setup, checkpoint, run, nodes=nodes, resume=resume, solving=solving)
     with _weights_folder(setup, checkpoint, engine) as weights_dir:
         coadds = _run_all(
             setup,
             checkpoint,
-            engine,
+            engine=engine,
             nodes=nodes,
             keep=keep or weights_dir is not None,
             folders=(timestream_dir, weights_dir),
@@ -141,6 +164,34 @@ def run_observations(
             stops=stops,
         )
         return coadds if weights_dir is None else solved_coadds(setup, coadds, weights_dir, engine, solving)
+
+
+def _run_passes(
+    setup: Setup,
+    checkpoint: Path | None,
+    run: Callable[..., CoAdds],
+    *,
+    nodes: Sequence[CoAdds],
+    resume: bool,
+    solving: Solving,
+) -> CoAdds:
+    """Run passes over the survey until the bright part of the map converges; the checkpoint is that of the pass."""
+    section, sky = setup.scene.map.iteration, no_bright_sky(setup)
+    file = None if checkpoint is None else bright_sky_file(checkpoint)
+    if file is not None and resume:
+        sky = load_bright_sky(file, setup)
+    elif file is not None:
+        file.unlink(missing_ok=True)
+    while True:
+        solving(BRIGHT_SKY, sky.passes)
+        coadds = run(with_estimate(setup, sky), checkpoint, nodes=nodes, keep=True)
+        after = next_sky(setup, sky, coadds)
+        if after.change < section.tolerance or after.passes >= section.max_passes:
+            return restored(coadds, sky, after, section.tolerance)
+        if file is not None:  # before the checkpoint of the old pass goes, which has the hash of its own sky
+            save_bright_sky(file, setup, after)
+            checkpoint.unlink(missing_ok=True)
+        sky, nodes = after, ()
 
 
 @contextmanager
@@ -165,8 +216,8 @@ def _weights_folder(setup: Setup, checkpoint: Path | None, engine: Engine) -> It
 def _run_all(
     setup: Setup,
     checkpoint: Path | None,
-    engine: Engine,
     *,
+    engine: Engine,
     nodes: Sequence[CoAdds],
     keep: bool,
     folders: tuple[Path | None, Path | None],
@@ -213,7 +264,8 @@ def _run_missing(
     # Workers elsewhere may have another working directory.
     streams, weights = (None if folder is None else folder.absolute() for folder in folders)
     angles = setup.observing.angles if missing and engine.kind == "processes" else None
-    results = unordered_map(SpanJob(setup.scene, streams, angles, weights), spans, engine, SUMS_OF_SPANS)
+    job = SpanJob(setup.scene, streams, angles, weights, setup.bright_sky_mk)
+    results = unordered_map(job, spans, engine, SUMS_OF_SPANS)
     try:
         for _, result in results:
             node = node_of(result)
@@ -263,6 +315,17 @@ class _CheckpointWriter:
         save_checkpoint(self.path, sums.nodes(), self.setup)
         self.finished, end = sums.finished, monotonic()
         self.due = end + max(CHECKPOINT_SECONDS, (end - start) / CHECKPOINT_SHARE)
+
+
+def remove_work(checkpoint: Path) -> None:
+    """Remove a checkpoint with what maps other than binned ones keep beside it."""
+    for path in (checkpoint, bright_sky_file(checkpoint)):
+        path.unlink(missing_ok=True)
+    folder = weights_directory(checkpoint)
+    if folder.is_dir() and not folder.is_symlink():
+        for path in folder.glob("*.npz"):
+            path.unlink()
+        folder.rmdir()
 
 
 def _drop_files(folders: tuple[Path | None, Path | None], first: int, end: int) -> None:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from mapmaker.normal_equations import SolveOptions, add_normal, solve_normal
+from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.noise_weights import normal_blocks, weights_file
 from surveysim.reduction.setup import Setup, prepare, signal_sim_observations
 from surveysim.runtime.engine import Engine, unordered_map
@@ -63,10 +64,14 @@ class NormalJob:
         skies_mk = np.load(chunk.skies)
         total = np.zeros(skies_mk.shape)
         for number, weight in zip(chunk.observations, chunk.weights, strict=True):
-            weighted = skies_mk * skies_mk.dtype.type(weight)
-            for block in normal_blocks(self.setup, number, weights_file(self.directory, number)):
-                add_normal(block, weighted, total)
+            add_observed(self.setup, self.directory, number, skies_mk * skies_mk.dtype.type(weight), total)
         return total
+
+
+def add_observed(setup: Setup, directory: Path, observation: int, skies_mk: np.ndarray, total: np.ndarray) -> None:
+    """Add the normal matrix of an observation, applied to maps (n_right, n_pixel), to `total`, in place."""
+    for block in normal_blocks(setup, observation, weights_file(directory, observation)):
+        add_normal(block, skies_mk, total)
 
 
 @dataclass
@@ -156,15 +161,17 @@ def solved_coadds(setup: Setup, coadds: CoAdds, directory: Path, engine: Engine,
             of_carriers = solve(SIGNAL_SIMS, signal_maps[:, 0, 1], weights[:, 0] * carry, coadds.signal_weight[0])
             signal_maps[:, 0, 1] = of_carriers[0]
             convergence.append(of_carriers[1])
-    patch = (..., analysis.region.patch, analysis.region.patch) if analysis.region else ...
-    return replace(
-        coadds,
-        sums=solved[0],
-        flipped=solved[1:][patch],
-        signal_maps=signal_maps[patch],
-        signal_weight=coadds.signal_weight[patch],
-        convergence=tuple(convergence),
-    )
+    whole = replace(coadds, sums=solved[0], flipped=solved[1:], signal_maps=signal_maps, convergence=tuple(convergence))
+    return on_scored_patch(analysis, whole)
+
+
+def on_scored_patch(analysis: AnalysisSetup, coadds: CoAdds) -> CoAdds:
+    """Cut jackknives and signal simulations of the whole map to the scored patch."""
+    if analysis.region is None:
+        return coadds
+    patch = (..., analysis.region.patch, analysis.region.patch)
+    flipped, signal_maps, weight = (item[patch] for item in (coadds.flipped, coadds.signal_maps, coadds.signal_weight))
+    return replace(coadds, flipped=flipped, signal_maps=signal_maps, signal_weight=weight)
 
 
 def _solve(

@@ -162,9 +162,10 @@ def _input_spectrum(setup: Setup) -> Spectrum | None:
     sky = setup.scene.sky
     if sky is None:
         return np.zeros_like
-    if sky.point_sources:
+    if sky.maps or sky.catalogues or sky.clusters or sky.point_sources:
         return None
-    return lambda ell: np.full(np.shape(ell), sky.cmb_band_power_ukcmb2)
+    flat = sky.cmb_band_power_ukcmb2 or 0.0
+    return lambda ell: flat + sky.tabulated_power(ell)
 
 
 def _expected(measure: _Measure) -> np.ndarray | None:

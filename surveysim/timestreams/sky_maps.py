@@ -188,9 +188,7 @@ def sky_spectrum_mk2(section: Sky, cmb_per_rj: float, ell: np.ndarray) -> np.nda
     """Compute C_l [mK^2 sr, Rayleigh-Jeans] of the random sky of a scene; 0 off the table of its spectrum."""
     found = flat_spectrum_mk2(ell, section.cmb_band_power_ukcmb2 or 0.0, cmb_per_rj)
     if section.spectrum is not None:
-        knots, power = section.spectrum_table
-        there = np.interp(ell, knots, power, left=0.0, right=0.0)
-        found = found + there * flat_spectrum_mk2(ell, 1.0, cmb_per_rj)
+        found = found + section.tabulated_power(ell) * flat_spectrum_mk2(ell, 1.0, cmb_per_rj)
     return found
 
 

@@ -34,6 +34,8 @@ PLACEHOLDERS = {
     "<item>": r"(?:(?:table|figure) \d+|\d{3} GHz)",
     "<band>": r"\d{3}",
     "<first>": r"\d{9}",
+    "<split>": "(?:night|direction|array)",
+    "<number>": r"\d+",
     "<NNNN>": r"\d{4}",
     "<NN>": r"\d{2}",
 }

@@ -28,7 +28,7 @@ from tests.camera import BOLOMETER, CAMERA, PHOTON
 from tests.cameras import write_camera
 from tests.docs.pages import ROOT
 from tests.docs.tables import differences, documented
-from tests.scenes import SMALL_SCENE, without_sections
+from tests.scenes import SCHEDULE, SMALL_SCENE, SPECTRA, without_sections
 from tests.unit.paper.test_reproduce import SCENE as PAPER_SCENE
 
 pytestmark = pytest.mark.docs
@@ -113,7 +113,7 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
     sweep = _sweep(folder)
     return {
-        "A run": [_rich_run(folder), _unscored_run(folder), folder / "points" / "0"],
+        "A run": [_rich_run(folder), _unscored_run(folder), _run_with_spectra(folder), folder / "points" / "0"],
         "A camera of several bands": [_bands(folder)],
         "A sweep": [sweep],
         "A budget": [*_budget(folder)],
@@ -145,6 +145,12 @@ def _unscored_run(folder):
     scene = surveysim.load_scene(_scene(folder, "single", SMALL_SCENE), {"observations": 1})
     assert surveysim.run(scene, folder / "single").unscored
     return folder / "single"
+
+
+def _run_with_spectra(folder):
+    scene = _scene(folder, "splits", without_sections(SMALL_SCENE, "fixed_pointing", "sky") + SCHEDULE + SPECTRA)
+    surveysim.run(surveysim.load_scene(scene, {"observations": 16, "schedule.nights": 4}), folder / "splits")
+    return folder / "splits"
 
 
 def _bands(folder):

@@ -33,6 +33,7 @@ KINDS = {
     "descriptions": 6,
     "streams": 12,
     "maps": 10,
+    "formats": 8,
     "checkpoints": 5,
     "points": 4,
     "summaries": 6,

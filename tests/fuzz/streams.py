@@ -33,9 +33,8 @@ OTHER_KINDS = (
 NUMBERS = (np.nan, np.inf, -np.inf, 1e300, -1e300, 91.0, 720.0, 1e30, -91.0)
 
 
-def prepare(folder: Path) -> bytes:
-    """The bytes of a good file, read, cleaned and mapped once."""
-    from mapmaker.formats import write_timestreams
+def streams() -> Any:
+    """Time-streams of three scans."""
     from mapmaker.timestreams import FocalPlane, Timestreams
 
     rng = np.random.default_rng(3)
@@ -47,9 +46,15 @@ def prepare(folder: Path) -> bytes:
     ra = np.radians(132.3 + np.tile(np.linspace(-0.05, 0.05, SAMPLES), N_SCAN))
     dec = np.radians(44.8 + np.repeat(np.arange(N_SCAN), SAMPLES) / 60)
     data = (air + rng.normal(size=(N_DET, n))).astype(np.float32)
+    return Timestreams(data, np.arange(n) / 10.0, ra, dec, np.zeros(n), scan, plane, {"seed": 3})
+
+
+def prepare(folder: Path) -> bytes:
+    """The bytes of a good file, read, cleaned and mapped once."""
+    from mapmaker.formats import write_timestreams
+
     path = folder / "good.h5"
-    streams = Timestreams(data, np.arange(n) / 10.0, ra, dec, np.zeros(n), scan, plane, {"seed": 3})
-    write_timestreams(path, streams)
+    write_timestreams(path, streams())
     raw = path.read_bytes()
     os.chdir(folder)
     Path("mangled.h5").write_bytes(raw)
@@ -213,20 +218,21 @@ def tried(exact: bool, good: bool | None = None) -> Outcome:
     import mapmaker as mm
 
     try:
-        streams = mm.read_timestreams("mangled.h5")
+        found = mm.read_timestreams("mangled.h5")
     except Exception as error:
         outcome = outcome_of_error(error, (ValueError,))
         if good and outcome.kind == "refused":
             return Outcome("silent", f"good, but refused: {outcome.text}")
         return outcome
-    check(good is not False, f"accepted; scan {np.unique(streams.scan)[:5]}, fwhm {streams.focal_plane.fwhm_rad!r}")
-    _valid(streams)
+    check(good is not False, f"accepted; scan {np.unique(found.scan)[:5]}, fwhm {found.focal_plane.fwhm_rad!r}")
+    valid(found)
     if exact:
-        _as_in_file(streams)
-    return _mapped(streams)
+        _as_in_file(found)
+    return mapped(found)
 
 
-def _valid(streams: Any) -> None:
+def valid(streams: Any) -> None:
+    """Raise Silent for streams with values that no reader may accept."""
     check(
         streams.data_mk.ndim == 2 and streams.data_mk.dtype in (np.float32, np.float64), f"data {streams.data_mk.dtype}"
     )
@@ -267,7 +273,7 @@ def _as_in_file(streams: Any) -> None:
     check(np.array_equal(streams.scan[inside], scan[inside]), "scans were read otherwise")
 
 
-def _mapped(streams: Any) -> Outcome:
+def mapped(streams: Any) -> Outcome:
     """Clean and bin: finite maps, no more hits than samples; ValueError is a refusal."""
     import mapmaker as mm
 

@@ -130,6 +130,7 @@ CASES = {
             "cleaning.highpass_frequency": "0.4 Hz",
             "cleaning.highpass_order": 2,
             "cleaning.responsivities": "observation",
+            "observations": 48,
         }
     ),
     "average, notches, a polynomial in time": Case(

@@ -25,9 +25,10 @@ def print_plan(scene: Scene, plan: Plan, workers: int) -> None:
         table.add_row(Text(name, style="dim"), Text(f"left out: {reason}", style="dim"))
     console.show(table)
     made = "one block of an observation" if "blocks" in plan.stages else "a few observations"
+    solving = f" and {_seconds(plan.solution_s)} s to solve for the map" if plan.solution_s else ""
     lines = (
-        f"about {_seconds(plan.wall_s)} s with {workers} worker(s), {_seconds(plan.figures_s)} s of it for figures, "
-        f"predicted from {made} made here",
+        f"about {_seconds(plan.wall_s)} s with {workers} worker(s), {_seconds(plan.figures_s)} s of it for figures"
+        f"{solving}, predicted from {made} made here",
         f"about {plan.memory_bytes / 1e6:.0f} MB a process",
         f"about {plan.output_bytes / 1e6:.1f} MB of results",
         f"about {plan.timestream_bytes / 1e6:.0f} MB of time-streams, if saved",

@@ -18,7 +18,7 @@ from surveysim.studies.sweep.axes import Point
 from surveysim.studies.sweep.point_store import PointResult, point_checkpoint, point_file, save_point
 from surveysim.survey.checkpoint import CheckpointError
 from surveysim.survey.coadds import CoAdds
-from surveysim.survey.run import finished_sums, run_observations
+from surveysim.survey.run import finished_sums, remove_work, run_observations
 
 Keep = Callable[[Point, SurveyResult], None]  # writes the results of a point
 
@@ -82,13 +82,13 @@ class PointJob:
         if self.directory is not None:
             save_point(self.directory / stage.file, found, scene_hash(stage.point.scene))
             if stage.is_whole:
-                checkpoint.unlink(missing_ok=True)
+                remove_work(checkpoint)
         return found
 
     def _run(self, setup: Setup, stage: Stage, checkpoint: Path | None) -> CoAdds:
         nodes = finished_sums(setup, checkpoint) if self.resume and checkpoint is not None else []
         if stage.is_whole:
-            return run_observations(setup, checkpoint, nodes=nodes)
+            return run_observations(setup, checkpoint, nodes=nodes, resume=self.resume)
         return run_observations(setup, checkpoint, nodes=nodes, stops=lambda sums: sums.done >= stage.observations)
 
 

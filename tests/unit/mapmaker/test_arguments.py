@@ -373,7 +373,7 @@ def test_every_public_function_has_a_row():
     others = {"read_timestreams", "write_timestreams", "read_fits", "write_fits", "write_healpix", "half_difference"}
     others |= {"read_band_powers", "write_band_powers", "write_null_tests", "write_sacc"}
     records = {"BinnedMap", "Timestreams", "pixel_indices", "scan_velocities", "pair_bins", "measure_wind"}
-    records |= {"ModeCoupling", "BandPowers", "Covariance"}
+    records |= {"ModeCoupling", "BandPowers", "Covariance", "ChiSquared", "NullTest"}
     assert set(mm.__all__) <= named | others | records
 
 

@@ -1,0 +1,248 @@
+"""Sums over a survey for the forecast of maximum-likelihood maps, with the noise of each band of frequencies measured.
+
+The noise model of a run is that of `mapmaker.gls`: in each band the mean covariance of the cleaned streams over the
+band's cosine modes, as a level of each detector and the modes whose eigenvalue, in the correlation matrix, is above
+those of noise. With W_b its inverse, a map mode that is seen at the frequency f through the taper w along a scan has
+
+    z = sum_b S_b s^H W_b s,    S_b = int_b |w(f - f')|^2 df',
+    Q = sum_b s^H W_b F [int_b |w(f - f')|^2 C(f') df'] F^H W_b s,
+
+over bands of both signs of f'. The mean of a scan, the cosine mode 0, is in no band. C is the sum of white noise with
+its correlations, excess noise, and the waves of the layers, whose phases between detectors the noise model leaves out.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapmaker.gls import GlsOptions
+from surveysim.forecasting.layer_table import sine_nodes, stream_frequencies
+from surveysim.forecasting.mode_response import LayerWaves, Modes, ProjectedArray, projected_array
+from surveysim.forecasting.noise_bins import MapBins
+from surveysim.forecasting.noise_model import map_bins
+from surveysim.forecasting.observing_conditions import Correlation, ObservingConditions, white_shapes
+from surveysim.forecasting.solved_maps import SolvedSums
+from surveysim.reduction.cleaning_pipelines import CleaningPipeline
+from surveysim.reduction.setup import Setup
+from surveysim.telescope.pixel_coherence import part_weights
+from surveysim.telescope.scans import Scans, samples_per_scan
+from surveysim.timestreams.low_frequency import excess_psd
+
+# Components, and steps of the response, with a closed form of these maps.
+COMPONENTS = ("photon", "detector", "excess", "atmosphere", "sky")
+STEPS = ("pointing_errors", "responsivity")
+MOST_DETECTORS = 600  # whose covariance is inverted in each band
+_DRAWS = 8  # observations that represent a survey
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Band of frequencies, up to `high_hz`: its number of cosine modes in a scan."""
+
+    low_hz: float
+    high_hz: float
+    n_mode: int
+    step_hz: float
+
+    def holds(self, frequency_hz: np.ndarray) -> np.ndarray:
+        """Tell which frequencies (n,), of either sign, are in the band."""
+        at_hz = np.abs(frequency_hz)
+        return (at_hz >= self.low_hz) & (at_hz < self.high_hz)
+
+    @property
+    def width_hz(self) -> float:
+        """Width of the band, of both signs."""
+        return 2 * self.n_mode * self.step_hz
+
+
+def noise_bands(scans: Scans, edges_hz: Sequence[float]) -> list[Band]:
+    """Bands of a noise model; each cosine mode stands for the frequencies about it."""
+    n_samp, rate = samples_per_scan(scans), scans.sample_rate_hz
+    step = rate / (2 * n_samp)
+    first = np.maximum(np.ceil(np.asarray(edges_hz) / step - 1e-9), 1)
+    first = np.minimum(first, n_samp)
+    # The last modes are those of the rest up to half of the rate.
+    return [
+        Band((low - 0.5) * step, np.inf if high == n_samp else (high - 0.5) * step, int(high - low), step)
+        for low, high in zip(first[:-1], first[1:], strict=True)
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class StreamNoise:
+    """Two-sided cross-spectra of the streams of an observation.
+
+    Attributes
+    ----------
+    white : (n_det, n_det)
+        White noise [mK^2/Hz].
+    excess : (n_det, n_det)
+        Correlation of the excess noise.
+    lines_hz, line_mk2 : (n_line,)
+        Its lines of both signs, and their variances.
+    layers
+        Waves of each layer: their frequencies (n_wave,), variances (n_wave,) and amplitudes in the detectors
+        (n_det, n_wave).
+    """
+
+    white: np.ndarray
+    excess: np.ndarray
+    lines_hz: np.ndarray
+    line_mk2: np.ndarray
+    layers: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+    def mean(self, band: Band) -> np.ndarray:
+        """Mean real cross-spectra (n_det, n_det) in a band."""
+        total = self.white + self.excess * (self.line_mk2[band.holds(self.lines_hz)].sum() / band.width_hz)
+        for at_hz, variance, seen in self.layers:
+            inside = band.holds(at_hz)
+            waves = seen[:, inside] * np.sqrt(variance[inside] / band.width_hz)
+            total = total + (waves @ waves.conj().T).real
+        return total
+
+
+def likelihood_sums(
+    setup: Setup, pipeline: CleaningPipeline, conditions: ObservingConditions, share: np.ndarray, options: GlsOptions
+) -> tuple[Modes, SolvedSums, np.ndarray]:
+    """Add up the observations of a survey, with fractions of kept samples (n_obs,); a few represent all.
+
+    Returns
+    -------
+    modes, sums
+    noise : (n_obs, n_bin)
+        Noise variance a sample of each observation [mK^2].
+    """
+    bins = map_bins(setup, pipeline, conditions, white_shapes(setup), None)
+    modes, shape = bins[0].frequencies.modes, (len(bins), bins[0].frequencies.at_hz.size)
+    normal, added, signal = np.zeros((3, *shape))
+    noise = np.empty((len(share), len(modes.wave)))
+    for alike in _representatives(conditions):
+        draw, weight = int(alike[len(alike) // 2]), share[alike].sum() / len(share)
+        found = [_observation(setup, pipeline, of, conditions, draw, options) for of in bins]
+        for node, (of_node, *others) in enumerate(found):
+            normal[node] += weight * of_node
+            added[node] += weight * others[0]
+            signal[node] += weight * others[1]
+        of_track = conditions.speed_share[draw] @ np.array([item[0] for item in found])
+        noise[alike] = setup.observing.scans.sample_rate_hz / modes.mean(of_track)
+    sums = SolvedSums(*(item.reshape(-1, *modes.wave.shape) for item in (normal, added, signal)))
+    return modes, sums, noise
+
+
+def _representatives(conditions: ObservingConditions) -> list[np.ndarray]:
+    """Group the observations by the strength of the layer; the middle one of a group represents it."""
+    order = np.argsort(conditions.layers.sum(axis=0), kind="stable")
+    return np.array_split(order, min(_DRAWS, len(order)))
+
+
+def _observation(
+    setup: Setup,
+    pipeline: CleaningPipeline,
+    of: MapBins,
+    conditions: ObservingConditions,
+    draw: int,
+    options: GlsOptions,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Normal matrix, noise [mK^2 a sample] and signal (n_mode,) of an observation."""
+    spectrum, camera = of.frequencies, setup.camera
+    array = projected_array(
+        camera.focal_plane.subset(pipeline.rows),
+        float(conditions.angle[draw, of.node].mean()),
+        responsivity=camera.responsivity[pipeline.rows],
+        algorithm=pipeline.spatial_step or "none",
+        assumed=of.arrays[0].assumed,
+    )
+    noise = _stream_noise(of, array, conditions, draw)
+    steering, n_det = array.phases(spectrum.modes.wave.ravel()), len(array.place)
+    project = array.cleaned(np.eye(n_det))
+    normal, added, signal = (np.zeros(spectrum.at_hz.size) for _ in range(3))
+    n_scans = setup.observing.scans.n_scans
+    for band in noise_bands(setup.observing.scans, options.band_edges_hz):
+        inside = band.holds(spectrum.nodes_hz)
+        through = _through(of, spectrum.nodes_hz[inside], spectrum.weight_hz[inside])
+        weighed = _weight(project @ noise.mean(band) @ project.T, band.n_mode * n_scans, options) @ steering
+        response = project.T @ weighed
+        normal += through * _product(steering, weighed)
+        signal += through * _product(response, array.responsivity[:, None] * steering)
+        added += through * _product(response, noise.white @ response)
+        inside = band.holds(noise.lines_hz)
+        of_lines = _through(of, noise.lines_hz[inside], noise.line_mk2[inside])
+        added += of_lines * _product(response, noise.excess @ response)
+        for at_hz, variance, seen in noise.layers:
+            inside = band.holds(at_hz)
+            amplitude = response.conj().T @ seen[:, inside]
+            leak = spectrum.apodization.at(spectrum.at_hz[:, None] - at_hz[inside]) ** 2
+            added += ((amplitude.real**2 + amplitude.imag**2) * leak) @ variance[inside]
+    rate = setup.observing.scans.sample_rate_hz
+    return normal / n_det, rate * added / n_det, signal / array.responsivity.sum()
+
+
+def _product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Real parts of the products of columns (n_det, n), (n,)."""
+    return np.einsum("ij,ij->j", left.conj(), right).real
+
+
+def _through(of: MapBins, at_hz: np.ndarray, strength: np.ndarray) -> np.ndarray:
+    """Power of lines (n,) that enters each mode through the taper, (n_mode,)."""
+    spectrum = of.frequencies
+    return spectrum.apodization.at(spectrum.at_hz[:, None] - at_hz) ** 2 @ strength
+
+
+def _stream_noise(of: MapBins, array: ProjectedArray, conditions: ObservingConditions, draw: int) -> StreamNoise:
+    n_det = len(array.place)
+    photon, excess = of.correlations
+    parts = part_weights(float(conditions.stop_share[draw]), len(photon))
+    shared = sum(weight * _dense(item, n_det) for weight, item in zip(parts, photon, strict=True))
+    white = conditions.white[draw] * _dense(of.independent, n_det) + conditions.shared[draw] * shared
+    lines_hz, line_mk2 = _excess_lines(of, float(conditions.excess[draw]))
+    return StreamNoise(white / 2, _dense(excess, n_det), lines_hz, line_mk2, list(_layers(of, array, conditions, draw)))
+
+
+def _dense(correlation: Correlation, n_det: int) -> np.ndarray:
+    """Correlation as a matrix."""
+    if correlation is None:
+        return np.eye(n_det)
+    return correlation if isinstance(correlation, np.ndarray) else correlation @ np.eye(n_det)
+
+
+def _excess_lines(of: MapBins, variance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Lines of excess noise of a variance, of both signs."""
+    if of.scene.excess is None:
+        return np.zeros(0), np.zeros(0)
+    n_samp, rate = samples_per_scan(of.scans), of.scans.sample_rate_hz
+    step = rate / (2 * n_samp)
+    psd = variance * excess_psd(of.scene.excess, 1.0, n_samp, 2 * n_samp, rate)[1:]
+    positive = step * np.arange(1, n_samp + 1)
+    return np.concatenate([-positive, positive]), np.tile(psd * step / 2, 2)
+
+
+def _layers(
+    of: MapBins, array: ProjectedArray, conditions: ObservingConditions, draw: int
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Waves of each layer in each of its motions and shifts of evolution."""
+    for number, amplitude in enumerate(conditions.layers[:, draw]):
+        waves: LayerWaves = of.layer_waves(number)
+        seen = array.phases(2 * np.pi * waves.alpha) * array.responsivity[:, None]
+        place = int(np.argmin(np.abs(sine_nodes(of.conditions) - conditions.sine[draw])))
+        power = amplitude * conditions.gain[draw] ** 2 * waves.power[place]
+        motions = conditions.motions[number][draw, of.node]
+        for motion in motions.tolist():
+            for shift, part in zip(waves.shift_hz, waves.shift_share, strict=True):
+                yield stream_frequencies(waves, motion) + shift, power * part / len(motions), seen
+
+
+def _weight(covariance: np.ndarray, n_vector: int, options: GlsOptions) -> np.ndarray:
+    """Inverse noise (n_det, n_det) of a band, modelled as in `mapmaker.gls` on `n_vector` cosine modes."""
+    scale = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    values, vectors = values[::-1], vectors[:, ::-1]
+    count = min(options.max_modes, n_vector // 2, len(scale) // 2)
+    for k in range(count):
+        left = len(scale) - k
+        if values[k] <= options.eigenvalue_cut * values[k:].sum() / left * (1 + np.sqrt(left / n_vector)) ** 2:
+            count = k
+            break
+    modes = vectors[:, :count] * np.sqrt(values[:count])
+    level = np.diag(covariance) * (1 - np.sum(modes**2, axis=1))
+    return np.linalg.inv(np.diag(level) + np.outer(scale, scale) * (modes @ modes.T))
