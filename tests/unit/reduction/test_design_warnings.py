@@ -52,7 +52,7 @@ SCORED_TRACK = {key: value for key, value in TRACK.items() if key != "score"} | 
 # The small scene: samples 24 arcsec apart, a beam of 60 and pixels of 30; scans of 24 arcmin, 9 arcmin across, a dither
 # of 2 arcmin, and an array of 2.67 arcmin.
 CASES = {
-    # Bins of 6 s above 2.5 Hz begin at 2.67 Hz; of their 28 cosines, 1 / 12 Hz apart, 4 are below 3 Hz, and 2 are a line.
+    # Bins of 6 s above 2.5 Hz begin at 2.67 Hz: 4 of their 28 cosines are below 3 Hz, and 2 are a line.
     "filtered white": (
         {"cleaning.algorithm": ["average", "highpass"], "cleaning.highpass_frequency": "3 Hz"},
         {
