@@ -163,13 +163,14 @@ def count_time_modes(options: TimeFilterOptions, n_samp: int) -> int:
     return time_modes(options, n_samp).modes.shape[1]
 
 
+@lru_cache(maxsize=32)
 def highpass_response(options: HighpassOptions, n_samp: int) -> np.ndarray:
     """Amplitude (n_samp,) that a high-pass leaves of each cosine of a scan; 0 of the mean."""
     frequency = np.arange(n_samp) * options.sample_rate_hz / (2 * n_samp)
     if options.order is None:
         return np.where((frequency >= options.corner_hz * (1 - 1e-12)) & (frequency > 0), 1.0, 0.0)
-    power = (frequency / options.corner_hz) ** (2 * options.order)
-    return np.sqrt(power / (1 + power))
+    with np.errstate(divide="ignore", over="ignore"):  # 0 Hz, and a high order far below the corner
+        return (1 + (options.corner_hz / frequency) ** (2 * options.order)) ** -0.5
 
 
 def _notch_modes(options: NotchOptions, n_samp: int) -> tuple[np.ndarray, np.ndarray]:
