@@ -105,16 +105,17 @@ def solved_maps(store: FileStore, sums: MapSums, config: Config, tell: Tell) -> 
         for file, noise in zip(store.files(), noises, strict=True):
             yield NormalBlock(file.index, file.item.bounds, noise)
 
-    apply = normal_matrix(blocks, np.dtype(np.float32))
-    found = solve_normal(apply, right, weight, options=options)
-    flipped = solve_normal(apply, _flipped(store, noises, found.sky_mk[0], len(splits)), weight, options=options)
-    noise = tuple(
-        _noise_map(geometry, sky, one, (weight, hits)) for sky, one in zip(flipped.sky_mk, first, strict=True)
-    )
-    converged = bool(found.converged.all() and flipped.converged.all())
+    apply, plane = normal_matrix(blocks, np.dtype(np.float32)), weight.reshape(geometry.n_y, geometry.n_x)
+    found = solve_normal(apply, right, plane, options=options)
+    noise, converged = [], found.converged.all()
+    if splits:
+        flipped = solve_normal(apply, _flipped(store, noises, found.sky_mk[0], len(splits)), plane, options=options)
+        converged &= flipped.converged.all()
+        noise = [_noise_map(geometry, sky, one, (weight, hits)) for sky, one in zip(flipped.sky_mk, first, strict=True)]
     end = "converged" if converged else "did not converge"
     solution = f"The solution {end} in {found.iterations} iterations, to a residual of {found.residual[0]:.1g}."
-    return Maps(_map(geometry, found.sky_mk[0], weight, hits), splits, noise, sums.healpix, solution, converged)
+    made = _map(geometry, found.sky_mk[0], weight, hits)
+    return Maps(made, splits, tuple(noise), solution=solution, converged=bool(converged))
 
 
 def _noise_of(config: Config) -> tuple[Callable[[MappedFile], NoiseWeight], SolveOptions]:
