@@ -169,8 +169,9 @@ def uniformity(ptes: list[float] | np.ndarray) -> float:
 
 
 if __name__ == "__main__":
+    tables = {"band powers": band_powers(), "null tests": nulls()}
     text = PAGE.read_text(encoding="utf-8")
-    for name, table in (("band powers", band_powers()), ("null tests", nulls())):
+    for name, table in tables.items():
         begin, end = f"<!-- {name} of docs/spectra_study.py -->\n", f"<!-- end of the {name} -->\n"
         before, rest = text.split(begin)
         text = f"{before}{begin}\n{table}\n{end}{rest.split(end)[1]}"

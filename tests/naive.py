@@ -1,5 +1,7 @@
 """Slow, obvious twins of the kernels: loops that can be read against the equations."""
 
+from itertools import product
+
 import numpy as np
 
 from surveysim.runtime.rng import RandomPurpose, generator
@@ -648,3 +650,28 @@ def coupling_on_sphere(spectrum, top):
                 if l3 < len(spectrum):
                     matrix[l1, l2] += (2 * l3 + 1) / (4 * np.pi) * spectrum[l3] * symbol**2
     return matrix
+
+
+def step_statistic(data, lost, bounds, window, fewest):
+    """Loop over samples; see `mapmaker.kernels.cleaned_tests.step_statistic`."""
+    found = np.zeros(data.shape)
+    for d, (start, stop) in product(range(len(data)), bounds):
+        for n in range(start, stop):
+            sides = range(max(start, n - window), n), range(n, min(stop, n + window))
+            before, after = ([data[d, k] for k in side if not lost[d, k]] for side in sides)
+            if min(len(before), len(after)) >= fewest:
+                scale = np.sqrt(1 / len(before) + 1 / len(after))
+                found[d, n] = (np.mean(after) - np.mean(before)) / scale
+    return found
+
+
+def add_weighted_samples(data, index, bounds, weight, n_pixel):
+    """Sums, weights and hits of each pixel; see `mapmaker.kernels.weighted_sums.add_weighted`."""
+    total, exposure, hits = np.zeros(n_pixel), np.zeros(n_pixel), np.zeros(n_pixel, int)
+    for d, (s, (start, stop)) in product(range(len(data)), enumerate(bounds)):
+        for n in range(start, stop):
+            if index[d, n] >= 0 and weight[d, s] != 0:
+                total[index[d, n]] += weight[d, s] * data[d, n]
+                exposure[index[d, n]] += weight[d, s]
+                hits[index[d, n]] += 1
+    return total, exposure, hits

@@ -95,9 +95,17 @@ class JackknifeSection(Section):
     """Seed of the random divisions."""
 
 
+class InputSection(Section):
+    """The files."""
+
+    fwhm: Length | None = None
+    """Full width at half maximum of the beam, in place of that of the files. Some formats do not hold it."""
+
+
 class Config(Section):
     """All sections; each can be left out."""
 
+    input: InputSection = InputSection()
     map: MapSection = MapSection()
     cleaning: Annotated[tuple[CleaningStep, ...], Field(strict=False, min_length=1)] = (AverageStep(),)
     """Cleaning steps, in order."""

@@ -9,7 +9,7 @@ from mapmaker.errors import OutOfRangeError
 from mapmaker.geometry import MapGeometry, north_angle, plane_directions, plane_offsets
 from mapmaker.pipeline.one_file import CleanedFile
 
-MOST_PIXELS = 10**8
+MOST_PIXELS = 5 * 10**7  # 1.6 GB
 
 
 class HealpixSums:

@@ -71,10 +71,10 @@ class Result:
     dropped: tuple[Dropped, ...]
 
 
-Show = Callable[[str, int], None]  # told what is done, and the number of files that are finished
+Show = Callable[[str, int, int], None]  # told what is done, the number of files that are finished, and of all
 
 
-def clean_and_map(paths: Sequence[str | Path], config: Config, show: Show = lambda what, done: None) -> Result:
+def clean_and_map(paths: Sequence[str | Path], config: Config, show: Show = lambda what, done, total: None) -> Result:
     """Clean files of time-streams and map them.
 
     One file is in memory at a time. Files are read twice, unless the configuration states centre and size of the map.
@@ -101,7 +101,7 @@ def clean_and_map(paths: Sequence[str | Path], config: Config, show: Show = lamb
     files, detectors, dropped = {}, [], [item for items in bad.values() for item in items]
     for number, (path, name) in enumerate(good):
         try:
-            item = clean_file(name, read_timestreams(path), config)
+            item = clean_file(name, read_timestreams(path, fwhm_rad=config.input.fwhm), config)
             weight = sample_weights(item, config.map.weights)
             dropped += [*item.dropped, *sums.add(item, weight, (number, len(good)))]
         except InputError as error:
@@ -109,7 +109,7 @@ def clean_and_map(paths: Sequence[str | Path], config: Config, show: Show = lamb
         else:
             files[name] = _file_record(item, weight)
             detectors += _detector_records(item, weight)
-        show("cleaning", number + 1)
+        show("cleaning", number + 1, len(good))
     if not sums.hits[0].any():
         raise _nothing_left(dropped)
     records = tuple(files.get(name, FileRecord(name, False)) for name in names)
@@ -135,11 +135,11 @@ def _field(
     stated = config.map.centre and config.map.size
     for number, (path, name) in enumerate(zip(paths, names, strict=True)):
         try:
-            streams = read_timestreams(path)
+            streams = read_timestreams(path, fwhm_rad=config.input.fwhm)
             field = stated_field(streams, config.map) if stated else extended(field, streams, config.map)
         except InputError as error:
             bad[name] = _of_error(path, name, error)
-        show("reading", number + 1)
+        show("reading", number + 1, len(paths))
         if stated and field:
             break
     if field is None:

@@ -194,10 +194,11 @@ def _scored(
     share = kept.share * sampled_share(scene, conditions.white + conditions.shared)
     if not share.any():
         raise NotForecastableError(f"{', '.join(scene.losses)}: found all samples lost; some are needed")
-    weight, signal = expected_weights(setup.analysis, noise), model.signal_psd
+    weight, signal, layer, taken = expected_weights(setup.analysis, noise), model.signal_psd, None, None
     if scene.map.solved:
         solved = solved_map(setup, model.pipeline, conditions, share)
         variance, weight = solved.noise_mk2 / scene.observations, solved.weight
+        noise, layer, taken = solved.each.noise, solved.each.layer, solved.each.taken
         signal = left_signal(
             setup.analysis.beams, setup.analysis.geometry, setup.sky.geometry, band, solved.transmission
         )
@@ -208,10 +209,9 @@ def _scored(
     score = band_power(
         psd, signal, rings.n_modes, band.selected, ell=rings.ell, edges_ell=rings.edges_ell, relative_error=0.0
     )
-    layer = model.layer_noise(conditions)
-    inputs = EffectInputs(
-        model.pipeline, model.n_det, conditions, kept, weight, noise, layer, score.weight, hits, track_motions(setup)
-    )
+    layer = model.layer_noise(conditions) if layer is None else layer
+    of_map = score.weight, hits, track_motions(setup), taken
+    inputs = EffectInputs(model.pipeline, model.n_det, conditions, kept, weight, noise, layer, *of_map)
     passed = signal / band.signal_psd
     found = neglected_effects(setup, inputs)
     return DataSetForecast(model.name, model.n_det, score, psd, signal, passed, weight, kept, found)

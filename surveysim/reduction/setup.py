@@ -242,7 +242,7 @@ def _prepare(scene: Scene) -> Setup:
         analysis=AnalysisSetup(
             scene,
             geometry,
-            common.sky_geometry,
+            drawn.sky,
             scene_pipelines,
             calibration,
             masked,

@@ -157,10 +157,7 @@ def _input_spectrum(setup: Setup) -> Spectrum | None:
     sky = setup.scene.sky
     if sky is None:
         return np.zeros_like
-    if sky.maps or sky.catalogues or sky.clusters or sky.point_sources:
-        return None
-    flat = sky.cmb_band_power_ukcmb2 or 0.0
-    return lambda ell: flat + sky.tabulated_power(ell)
+    return sky.band_power_ukcmb2 if sky.is_spectrum else None
 
 
 def _expected(measure: _Measure) -> np.ndarray | None:
