@@ -13,6 +13,7 @@ from mapmaker.validation import reals
 LEAST_TRANSFER = 1e-3  # of the power of a bin: with less, its band power is not defined
 LEAST_WINDOW = 1e-6  # the same of beam and pixels, beside the best bin
 MOST_CONDITION = 100.0  # condition number of the coupling matrix from which errors of band powers are amplified
+LARGEST_CONDITION = 1e10  # beyond, rounding errors of the inverse matter
 FEWEST_MODES = 10.0  # degrees of freedom of a bin whose errors are about Gaussian
 
 
@@ -136,7 +137,7 @@ def usable_bins(window: np.ndarray, transfer: np.ndarray | None) -> tuple[np.nda
     Raises
     ------
     ValueError
-        For a transfer function of other bins or below 0, and if no bin is left.
+        For a transfer function of other bins, and if no bin is left.
     """
     transfer = np.ones(window.size) if transfer is None else reals("transfer", transfer, window.shape, finite=False)
     usable = (transfer >= LEAST_TRANSFER) & (window > 0) & (window >= LEAST_WINDOW * window.max())
@@ -146,7 +147,13 @@ def usable_bins(window: np.ndarray, transfer: np.ndarray | None) -> tuple[np.nda
 
 
 def coupling_flags(coupling: ModeCoupling) -> tuple[str, ...]:
-    """Reasons to distrust band powers: lost bins, narrow bins, few modes, errors that decoupling amplifies."""
+    """Reasons to distrust band powers: lost bins, narrow bins, few modes, errors that decoupling amplifies.
+
+    Raises
+    ------
+    ValueError
+        For a coupling that has no inverse.
+    """
     flags = []
     usable, widths = coupling.usable, np.diff(coupling.edges_ell)
     if not usable.all():
@@ -164,6 +171,11 @@ def coupling_flags(coupling: ModeCoupling) -> tuple[str, ...]:
             f"{few.sum()} of {few.size} bins: fewer than {FEWEST_MODES:.0f} modes, and errors that are not Gaussian"
         )
     condition = _condition(coupling.matrix[np.ix_(usable, usable)])
+    if not condition < LARGEST_CONDITION:
+        raise InsufficientDataError(
+            f"the taper resolves {coupling.resolution_ell:.0f} in ell, and a coupling of bins {widths.min():.0f} wide "
+            "has no inverse: wider bins are expected"
+        )
     if condition > MOST_CONDITION:
         flags.append(f"a coupling matrix of the condition number {condition:.2g}: decoupling amplifies errors")
     return tuple(flags)

@@ -40,14 +40,14 @@ def clean_and_map(
     check_directory(out, force)
     done = [0]
     try:
-        with replaced(out) as folder, progress_display(len(files), quiet) as show:
+        with replaced(out) as folder, progress_display(quiet) as show:
 
-            def told(what: str, number: int) -> None:
+            def told(what: str, number: int, total: int) -> None:
                 done[0] = number if what == "cleaning" else 0
-                show(what, number)
+                show(what, number, total)
 
-            result = run(files, settings, told)
-            show("writing", 0)
+            result = run(files, settings, told, folder)
+            show("writing results", 0, 0)
             write_outputs(folder, result)
     except KeyboardInterrupt as error:
         error.add_note(f"{done[0]} of {len(files)} files were cleaned; nothing is kept of them, {out} is as before")

@@ -34,6 +34,8 @@ _TABLES = (
     "map_psd",
     "alternatives",
     "split_spectra",
+    "sky_transfer",
+    "sky_fluxes",
     "nulls",
     "load",
     "nep",
@@ -45,6 +47,7 @@ _FIGURES = (
     "map",
     "map_psd",
     "transfer_function",
+    "sky",
     "cumulative_sensitivity",
     "weights",
     "spectra",
@@ -79,7 +82,9 @@ def _run_names(scene: Scene) -> tuple[str, ...]:
 
 def _map_names(setup: Setup) -> tuple[str, ...]:
     endings = ("", "_healpix") if setup.scene.map.healpix_nside else ("",)
-    return tuple(f"maps/{name}{ending}.fits" for name in setup.analysis.data_set_names for ending in endings)
+    maps = tuple(f"maps/{name}{ending}.fits" for name in setup.analysis.data_set_names for ending in endings)
+    skies = setup.analysis.transfer_function_names if setup.analysis.own_sky is not None else ()
+    return (*maps, *(f"maps/sky_{name}.fits" for name in skies))
 
 
 def _figure_names() -> tuple[str, ...]:

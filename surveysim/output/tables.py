@@ -9,6 +9,7 @@ from surveysim.results.metric_tables import metric_file_table
 from surveysim.results.metrics import metric_tables
 from surveysim.results.results import SurveyResult
 from surveysim.results.sensitivity import sensitivity_tables
+from surveysim.results.sky_tables import flux_table, sky_transfer_table
 from surveysim.results.spectra import split_spectra_table
 from surveysim.results.tables import alternative_table, score_table
 from surveysim.runtime.table import Column, Table, file_column
@@ -31,6 +32,11 @@ def run_tables(result: SurveyResult, summary: dict[str, Any]) -> dict[str, Table
         tables["metrics"] = metric_file_table(summary["metrics"], {"temperature": "CMB"} | _survey_part(result))
         tables |= metric_tables(result.setup, result.scores)
         tables["map_psd"] = spectrum_table(result)
+    if result.sky:
+        scored = result.setup.analysis.region.selected
+        tables["sky_transfer"] = sky_transfer_table(result.sky, scored, _survey_part(result))
+        if any(item.fluxes for item in result.sky.values()):
+            tables["sky_fluxes"] = flux_table(result.sky, _survey_part(result))
     if result.spectra:
         tables["split_spectra"] = split_spectra_table(result.spectra, {"temperature": "CMB"} | _survey_part(result))
     if "sensitivity" in summary:

@@ -12,6 +12,7 @@ from warnings import catch_warnings, simplefilter
 from mapmaker.binning import BinnedMap, write_fits, write_healpix
 from mapmaker.files import atomic_write, write_ecsv
 from surveysim.output.expected_files import SCORES, point_directory
+from surveysim.output.sky import write_sky
 from surveysim.output.spectra import write_spectra
 from surveysim.output.tables import forecast_spectra, run_tables
 from surveysim.reduction.setup import Setup, prepare
@@ -78,6 +79,7 @@ def write_outputs(
     written += _write_scores(directory / SCORES, result)
     written += write_spectra(directory, result.spectra) if result.spectra else []
     written += _write_maps(directory / "maps", result) if maps else []
+    written += write_sky(directory / "maps", result.sky, partial(_header, result)) if maps else []
     written += [directory / name for name in timestreams]
     write_summary(directory, content, written, partial(_of_run, result) if figures else None)
 
@@ -323,20 +325,25 @@ def write_text(path: Path, text: str) -> Path:
     return path
 
 
+def _header(result: SurveyResult, data_set: str) -> dict[str, object]:
+    """Values of the primary header of a map."""
+    scene = result.setup.scene
+    return {
+        "SCENE": scene.name,
+        "DATASET": data_set,
+        "SEED": scene.seed,
+        "NOBS": result.coadds.done,
+        "SHA256": scene_hash(scene),
+    }
+
+
 def _write_maps(directory: Path, result: SurveyResult) -> list[Path]:
     setup, coadds, written = result.setup, result.coadds, []
     for s, name in enumerate(setup.analysis.data_set_names):
         planes = (plane[s][None] for plane in (coadds.sums, coadds.weight, coadds.hits))  # Stokes I
         item = BinnedMap(setup.analysis.geometry, *planes)
-        header = {
-            "SCENE": setup.scene.name,
-            "DATASET": name,
-            "SEED": setup.scene.seed,
-            "NOBS": coadds.done,
-            "SHA256": scene_hash(setup.scene),
-        }
         written.append(directory / f"{name}.fits")
-        write_fits(written[-1], item, header)
+        write_fits(written[-1], item, _header(result, name))
         if setup.scene.map.healpix_nside:
             written.append(directory / f"{name}_healpix.fits")
             write_healpix(written[-1], item, setup.scene.map.healpix_nside)

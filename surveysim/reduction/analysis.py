@@ -14,6 +14,7 @@ from surveysim.runtime.once import once
 from surveysim.scene.scene import Scene
 from surveysim.telescope.beams import Beams
 from surveysim.timestreams.shared_parts import signal_skies
+from surveysim.timestreams.simulation import SkySetup
 
 
 @dataclass(frozen=True)
@@ -24,8 +25,8 @@ class AnalysisSetup:
     ----------
     geometry
         Grid of the maps.
-    sky_geometry
-        Grid of the simulated signals.
+    sky
+        The scene's sky, on the grid of the simulated signals.
     pipelines
         Cleaning pipelines, the scene's own first and those of the masked array last.
     calibration
@@ -44,7 +45,7 @@ class AnalysisSetup:
 
     scene: Scene
     geometry: MapGeometry
-    sky_geometry: MapGeometry
+    sky: SkySetup
     pipelines: tuple[CleaningPipeline, ...]
     calibration: np.ndarray | None
     masked: np.ndarray | None
@@ -68,10 +69,25 @@ class AnalysisSetup:
             return slice(0, 0)
         return slice(0, self.geometry.n_y) if self.scene.map.solved else self.region.patch
 
+    @property
+    def sky_geometry(self) -> MapGeometry:
+        """Grid of the simulated signals."""
+        return self.sky.geometry
+
     @once
     def signal_skies_mk(self) -> np.ndarray | None:
-        """Skies (n_sky, n_beam, n_y, n_x) of the signal simulations; a point source last with several pipelines."""
-        return signal_skies(self.scene, self.sky_geometry, tuple(self.beams.fwhm_rad.tolist()))
+        """Skies (n_sky, n_beam, n_y, n_x) of the signal simulations, and after them the scene's own if it has one.
+
+        A point source is last with several pipelines.
+        """
+        own = self.sky.map_mk if self.own_sky is not None else None
+        return signal_skies(self.scene, self.sky_geometry, tuple(self.beams.fwhm_rad.tolist()), own_mk=own)
+
+    @property
+    def own_sky(self) -> int | None:
+        """Place of the scene's own sky among the signal simulations; None without a sky or a score."""
+        scene = self.scene
+        return scene.score.signal_sims.skies if scene.score is not None and scene.sky is not None else None
 
     def weight_of(self, rows: np.ndarray | slice) -> np.ndarray | None:
         """Weights (n,) of some detectors in a map of their own, with a mean of 1; None where all weigh alike."""
@@ -81,7 +97,7 @@ class AnalysisSetup:
     def n_signal_skies(self) -> int:
         """Number of these skies; 0 without a score."""
         score = self.scene.score
-        return score.signal_sims.skies + bool(self.scene.cleaning.compare) if score else 0
+        return score.signal_sims.skies + bool(self.scene.sky) + bool(self.scene.cleaning.compare) if score else 0
 
     @property
     def responsivities(self) -> Responsivities:

@@ -1,6 +1,7 @@
 """The result of a run: its scores, gains, alternatives, forecast and error."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from surveysim.forecasting.forecast import DataSetForecast, Forecast
@@ -12,6 +13,7 @@ from surveysim.results.alternatives import alternatives
 from surveysim.results.control_variate import quoted_scores
 from surveysim.results.gains import data_set_gains
 from surveysim.results.metrics import MetricResults, survey_metrics
+from surveysim.results.sky_recovery import SkyRecovery, sky_recoveries
 from surveysim.results.spectra import spectra_warnings
 from surveysim.results.stopping import (
     FINE_ERROR,
@@ -128,6 +130,11 @@ class SurveyResult:
     engine: str
     spectra: SurveySpectra | None = None
     no_spectra: str = ""
+
+    @cached_property
+    def sky(self) -> dict[str, SkyRecovery]:
+        """The scene's own sky beside what comes back of it, by data set; empty without a sky or a score."""
+        return sky_recoveries(self.setup, self.coadds)
 
     @property
     def discards(self) -> Discards:

@@ -41,6 +41,8 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
         n_with_sims = int(signal_sim_observations(scene).sum())
         stages["data sets"] = ", ".join([*setup.analysis.data_set_names, *map(scaled_name, _masked(setup))])
         stages["transfer function"] = f"{scene.score.signal_sims.skies} skies through {n_with_sims} observations"
+        if setup.analysis.own_sky is not None:
+            stages["sky in and out"] = f"the scene's sky through the same {n_with_sims} observations, without noise"
         stages["score"] = f"multipoles {scene.score.ell_min} to {scene.score.ell_max}"
         if scene.spectra:
             counts = [f"{split.name} ({len(split.parts)} parts)" for split in setup.analysis.splits.splits]

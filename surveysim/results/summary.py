@@ -13,6 +13,7 @@ from surveysim.results.closure import closure_tests
 from surveysim.results.metric_tables import metric_entries
 from surveysim.results.results import SurveyResult, forecast_agreement, score_entries
 from surveysim.results.sensitivity import saturation_warnings, sensitivities, sensitivity_entries
+from surveysim.results.sky_tables import sky_entry
 from surveysim.results.spectra import spectra_entry
 from surveysim.results.stages import absent_sections, left_out, stages_that_run
 from surveysim.results.stopping import TOLD_ERRORS
@@ -78,8 +79,10 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         if not np.isnan(setup.analysis.region.scored_correlation):
             content["bin_correlation"] = setup.analysis.region.scored_correlation
         content["time_to_precision"] = [vars(cost) for cost in map(result.cost, TOLD_ERRORS) if cost]
+    if result.sky:
+        content["sky"] = sky_entry(result.sky)
     if result.spectra:
-        content["spectra"] = spectra_entry(setup, result.spectra, coadds.done)
+        content["split_spectra"] = spectra_entry(setup, result.spectra, coadds.done)
     content["closure"] = [vars(item) for item in closure_tests(setup, coadds, result.scores, result.expected)]
     content["run"] = {
         "date": now(),

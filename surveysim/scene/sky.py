@@ -207,11 +207,17 @@ class Sky(Section):
         """Multipoles (n,) and band powers (n,) [uK_CMB^2] of the file `spectrum`."""
         return read_spectrum_file(self.spectrum, self.spectrum_kind)
 
-    def tabulated_power(self, ell: np.ndarray) -> np.ndarray:
-        """Band powers [uK_CMB^2] of the file `spectrum`; 0 off its multipoles, and without it."""
-        if self.spectrum is None:
-            return np.zeros(np.shape(ell))
-        return np.interp(ell, *self.spectrum_table, left=0.0, right=0.0)
+    def band_power_ukcmb2(self, ell: np.ndarray) -> np.ndarray:
+        """Band powers l (l + 1) C_l / 2 pi [uK_CMB^2] of the random sky at some multipoles; 0 off its table."""
+        found = np.full(np.shape(ell), self.cmb_band_power_ukcmb2 or 0.0)
+        if self.spectrum is not None:
+            found += np.interp(ell, *self.spectrum_table, left=0.0, right=0.0)
+        return found
+
+    @property
+    def is_spectrum(self) -> bool:
+        """Whether the sky has a spectrum and nothing else."""
+        return not (self.maps or self.catalogues or self.clusters or self.point_sources)
 
     @property
     def is_random(self) -> bool:
@@ -227,7 +233,7 @@ class Sky(Section):
 
     @model_validator(mode="after")
     def _has_content(self) -> Self:
-        if not (self.is_random or self.maps or self.catalogues or self.clusters or self.point_sources):
+        if self.is_spectrum and not self.is_random:
             raise ValueError(f"found nothing; one or more of {', '.join(map(repr, _CONTENTS))} are expected")
         for key, value in (("curved_lmax", self.curved_lmax), ("spectrum_kind", self.spectrum_kind)):
             if value is not None and not self.is_random:

@@ -140,10 +140,13 @@ def _dilution(scene: Scene, fwhm_rad: float) -> float:
     return (scene.instrument.beam_fwhm_rad / fwhm_rad) ** 2
 
 
-def signal_skies(scene: Scene, geometry: MapGeometry, fwhm_rad: tuple[float, ...]) -> np.ndarray | None:
+def signal_skies(
+    scene: Scene, geometry: MapGeometry, fwhm_rad: tuple[float, ...], *, own_mk: np.ndarray | None
+) -> np.ndarray | None:
     """Draw the skies of the signal simulations through beams of some widths (n_beam,), (n_sky, n_beam, n_y, n_x).
 
-    In mK RJ. The last is a point source where pipelines are compared. None without a score.
+    In mK RJ. After the random ones comes `own_mk` (n_beam, n_y, n_x), the scene's own sky, if there is one. The last is
+    a point source where pipelines are compared. None without a score.
     """
     if scene.score is None:
         return None
@@ -156,6 +159,8 @@ def signal_skies(scene: Scene, geometry: MapGeometry, fwhm_rad: tuple[float, ...
         return flat_cmb_sky(geometry, signal.band_power_ukcmb2, cmb_per_rj, width, rng)
 
     skies = [np.stack([sky(number, width) for width in fwhm_rad]) for number in range(signal.skies)]
+    if own_mk is not None:
+        skies.append(own_mk)
     if scene.cleaning.compare:
         source = [central_source(geometry, width) * np.float32(_dilution(scene, width)) for width in fwhm_rad]
         skies.append(np.stack(source))

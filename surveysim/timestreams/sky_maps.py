@@ -186,10 +186,9 @@ def draw_sky(
 
 def sky_spectrum_mk2(section: Sky, cmb_per_rj: float, ell: np.ndarray) -> np.ndarray:
     """Compute C_l [mK^2 sr, Rayleigh-Jeans] of the random sky of a scene; 0 off the table of its spectrum."""
-    found = flat_spectrum_mk2(ell, section.cmb_band_power_ukcmb2 or 0.0, cmb_per_rj)
-    if section.spectrum is not None:
-        found = found + section.tabulated_power(ell) * flat_spectrum_mk2(ell, 1.0, cmb_per_rj)
-    return found
+    if section.spectrum is None:
+        return flat_spectrum_mk2(ell, section.cmb_band_power_ukcmb2, cmb_per_rj)
+    return section.band_power_ukcmb2(ell) * flat_spectrum_mk2(ell, 1.0, cmb_per_rj)
 
 
 def sharpened(sky_mk: np.ndarray) -> np.ndarray:

@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.report.figures.layout import lay_out
 from surveysim.report.figures.observations import timestream_psd, weather
 from surveysim.report.figures.run_time import time_figure
 from surveysim.report.figures.sky_map import coadded_map
+from surveysim.report.figures.sky_recovery import sky_in_and_out
 from surveysim.report.figures.spectra import bin_weights, cumulative_sensitivity, map_psds, transfer_functions
 from surveysim.report.figures.split_spectra import split_spectra
 from surveysim.report.figures.style import save
@@ -27,13 +29,14 @@ TITLES = {
     "map": "co-added map and its noise",
     "map_psd": "PSDs of the maps",
     "transfer_function": "transfer functions",
+    "sky": "sky that goes in, and what comes back",
     "cumulative_sensitivity": "cumulative sensitivity",
     "weights": "weights of multipoles in the score",
     "spectra": "band powers and null tests",
     "weather": "noise of each observation",
 }
 RUN_TIME = "run_time"
-FULL_COLOUR = ("track", "map", "weather")  # those with a colour bar
+FULL_COLOUR = ("track", "map", "weather", "sky")  # those with a colour bar
 
 
 def survey_figures(result: SurveyResult) -> dict[str, Callable[[], Figure]]:
@@ -55,6 +58,8 @@ def survey_figures(result: SurveyResult) -> dict[str, Callable[[], Figure]]:
         made["transfer_function"] = partial(transfer_functions, setup, scores, expected)
         made["cumulative_sensitivity"] = partial(cumulative_sensitivity, setup, scores)
         made["weights"] = partial(bin_weights, setup, scores)
+    if ACTUAL in result.sky:
+        made["sky"] = partial(sky_in_and_out, result.sky[ACTUAL], setup.scene.instrument.cmb_per_rj)
     if result.spectra:
         made["spectra"] = partial(split_spectra, result.spectra)
     if (coadds.column("b2_mk2") > 0).any():

@@ -68,6 +68,16 @@ RUN = {
         "Look for the multipole below which cleaning removes the signal with the noise, and for the one above which "
         "the beam removes it: bins of the scored range beyond them add little to the score.",
     ),
+    "sky": Caption(
+        "Sky in and out",
+        "Three panels: the sky that goes in, the map of it that comes back, and the transfer function of modes.",
+        "Left: the scene's sky through the beam, averaged over pixels. Middle: the map of it without noise, after "
+        "scans and cleaning ({cleaning}), of the observations with signal simulations. Both in µK_CMB, on the scored "
+        "area. "
+        "Right: amplitude that is left of modes with the multipoles ℓ_x and ℓ_y, from the simulated skies.",
+        "Look for sources of the left panel in the middle one, the hollows around them, and for the stripes of the "
+        "right panel where scans along that direction lose all long waves.",
+    ),
     "cumulative_sensitivity": Caption(
         "Cumulative sensitivity",
         "Uncertainty of a flat band power from all data above a multipole, against that multipole.",

@@ -25,6 +25,7 @@ from surveysim.report.html.scene import band_of, cleaning_words, what_was_simula
 from surveysim.report.html.scores import kind_sentence, score_blocks
 from surveysim.results.metric_tables import label
 from surveysim.results.sensitivity import sensitivity_tables
+from surveysim.results.sky_tables import recovery_sentences, source_table
 from surveysim.results.spectra import band_power_table, split_sentences, split_table
 from surveysim.results.tables import over_reference
 from surveysim.runtime.numbers import as_known, count, duration, percent, plural, quoted, short
@@ -47,6 +48,11 @@ NULLS = (
     "Input: band powers about the spectrum of the simulated sky. Null: power of half the difference of parts, about"
     " that of random signs. PTE: probability to exceed; below 0.001 a test fails.",
 )
+SKY = (
+    "Fluxes in a compensated aperture: a disc less a ring of equal area around it. In: the sky through the beam. Out: "
+    "its map without noise. Transfer: what scans and cleaning leave of such a source, from the simulated skies. In the "
+    "map: the co-added map of the run, with its noise. All sources are in tables/sky_fluxes.ecsv.",
+)
 UNKNOWN = "Its error is unknown: there are too few observations to estimate it."
 
 
@@ -60,8 +66,10 @@ def run_page(directory: Path, summary: Content, scene: Content) -> Page:
         sections.append(Section("sensitivity", "Load and sensitivity", sensitivity_blocks(summary["sensitivity"])))
     if summary["scores"]:
         sections.append(Section("scores", "Scores", tuple(score_blocks(summary, scene))))
-    if "spectra" in summary:
-        sections.append(Section("spectra", "Band powers and null tests", spectra_blocks(summary["spectra"])))
+    if "sky" in summary:
+        sections.append(Section("sky", "Sky in and out", sky_blocks(summary["sky"])))
+    if "split_spectra" in summary:
+        sections.append(Section("spectra", "Band powers and null tests", spectra_blocks(summary["split_spectra"])))
     sections.append(discarded_section(summary, scene))
     title = "Error against run time" if summary["scores"] else "Run time"
     sections.append(Section("time", title, (*time_blocks(summary, scene), *timing)))
@@ -88,6 +96,12 @@ def spectra_blocks(entry: Content) -> tuple[Block, ...]:
     """Return the tables of band powers and null tests, and sentences on the parts."""
     tables = grid(band_power_table(entry), *BAND_POWERS), grid(split_table(entry), *NULLS)
     return (*tables, Listing(tuple(split_sentences(entry)), "Parts of the splits:"))
+
+
+def sky_blocks(entry: Content) -> tuple[Block, ...]:
+    """Return the sentences on the sky that comes back, and the table of its brightest sources."""
+    lines = Listing(tuple(recovery_sentences(entry)), "Cross-spectrum of the scene's own sky, without noise:")
+    return (lines, grid(source_table(entry), *SKY)) if entry["sources"] else (lines,)
 
 
 def run_pictures(directory: Path, summary: Content, scene: Content) -> list[Picture]:

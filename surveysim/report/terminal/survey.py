@@ -14,6 +14,7 @@ from surveysim.results.agreement import GOOD_SIGMA
 from surveysim.results.method import CONTROLLED, PLAIN, method
 from surveysim.results.metric_tables import label, metric_notes, metric_table
 from surveysim.results.results import SurveyResult
+from surveysim.results.sky_tables import recovery_sentences, source_table
 from surveysim.results.spectra import band_power_table, split_sentences, split_table
 from surveysim.results.stopping import UNLIMITED, Estimate
 from surveysim.results.summary import summary
@@ -58,10 +59,12 @@ def print_result(result: SurveyResult, directory: Path, verbose: bool = False) -
             show_table(console, metrics)
             for line in metric_notes(content["metrics"]):
                 console.say(line)
-    if "spectra" in content:
-        show_table(console, band_power_table(content["spectra"]))
-        show_table(console, split_table(content["spectra"]))
-        for line in split_sentences(content["spectra"]):
+    if "sky" in content:
+        _print_sky(console, content["sky"])
+    if "split_spectra" in content:
+        show_table(console, band_power_table(content["split_spectra"]))
+        show_table(console, split_table(content["split_spectra"]))
+        for line in split_sentences(content["split_spectra"]):
             console.say(f"  {line}")
     if result.unscored:
         console.say(f"Not scored: {result.unscored}")
@@ -69,6 +72,14 @@ def print_result(result: SurveyResult, directory: Path, verbose: bool = False) -
         _print_details(console, result, content)
     print_warnings(console, [*content["warnings"], *error_warnings(result), *forecast_warnings(content)])
     console.say(f"\n{closing_line(content)}\n{where_line(directory)}")
+
+
+def _print_sky(console: Terminal, entry: Content) -> None:
+    """Print the sources of the scene's sky that come back, and the share of the sky over the transfer function."""
+    if entry["sources"]:
+        show_table(console, source_table(entry))
+    for line in recovery_sentences(entry):
+        console.say(f"  sky, {plain(line)}")
 
 
 def _print_details(console: Terminal, result: SurveyResult, content: Content) -> None:

@@ -64,7 +64,8 @@ def test_data_sets_and_transfer_functions(path):
 def test_one_pipeline_is_no_choice(path):
     setup = prepare(load_scene(path))
     assert not setup.analysis.chooses and "optimal" not in setup.analysis.data_set_names
-    assert len(setup.analysis.signal_skies_mk) == 2  # no sky of point sources
+    # The scene's own sky is the third, and there is no sky of point sources.
+    assert len(setup.analysis.signal_skies_mk) == 3 and setup.analysis.own_sky == 2
 
 
 @pytest.mark.parametrize(
@@ -202,7 +203,9 @@ def test_comparing_changes_nothing_of_the_actual_data(path, compared, tmp_path):
 def test_what_a_comparison_leaves_behind(compared):
     result, out = compared
     sets = result.setup.analysis.data_set_names
-    assert {path.stem for path in (out / "maps").iterdir()} == set(sets) == set(result.scores)
+    skies = {f"sky_{name}" for name in result.setup.analysis.transfer_function_names}
+    assert {path.stem for path in (out / "maps").iterdir()} == {*sets, *skies}
+    assert set(sets) == set(result.scores)
     assert (out / "figures" / "transfer_function.png").exists()
     columns = dict(zip(row_names(result.setup.analysis), np.array(result.coadds.rows).T, strict=True))
     # Templates a scan: of the pipelines' own kind.

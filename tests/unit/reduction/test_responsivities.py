@@ -181,8 +181,8 @@ def test_workers_change_no_bit(setup_of, source, two_threads):
     np.testing.assert_array_equal(one.coadds.signal_maps, two.coadds.signal_maps)
 
 
-# Scans that the second and the third cleaning get: two skies in one pass, or a fit to all scans with each sky.
-@pytest.mark.parametrize("source, again", [("scan", [6]), ("observation", [4, 4])])
+# Scans that the second cleaning and the next get: three skies in one pass, or a fit to all scans with each sky.
+@pytest.mark.parametrize("source, again", [("scan", [9]), ("observation", [4, 4, 4])])
 def test_signal_simulations_are_fitted_with_the_same_scans(setup_of, monkeypatch, source, again):
     """A scan that is lost without a sky is cleaned again only where it has a part in the others' responsivities."""
     clean, cleaned = cleaned_block.apply_pipeline, []

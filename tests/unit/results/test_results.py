@@ -29,7 +29,7 @@ KEYS = {
 }  # fmt: skip
 SCORED_KEYS = {
     "estimate", "time_to_precision", "forecast_over_simulated", "forecast", "error_budget", "gains",
-    "alternatives", "bin_correlation", "metrics",
+    "alternatives", "bin_correlation", "metrics", "sky",
 }  # fmt: skip
 SETS = ("actual", "uncorrelated", "white", "masked_7")
 
@@ -53,7 +53,7 @@ def test_files(finished):
     assert names == [
         ".surveysim.json",
         "checkpoint.h5",
-        *(f"maps/{name}.fits" for name in sorted(SETS)),
+        *(f"maps/{name}.fits" for name in sorted((*SETS, "sky_actual", "sky_masked_7"))),
         "report.html",
         "scene.json",
         "scene.toml",
@@ -61,7 +61,10 @@ def test_files(finished):
         "summary.json",
         *(
             f"tables/{name}.ecsv"
-            for name in ("alternatives", "map_psd", "metrics", "observations", "scores", "timestream_psd")
+            for name in (
+                *("alternatives", "map_psd", "metrics", "observations", "scores"),
+                *("sky_fluxes", "sky_transfer", "timestream_psd"),
+            )
         ),
     ]
 

@@ -109,5 +109,5 @@ def test_a_forecast_in_a_notebook(scene):
 def test_figures_of_a_run(result):
     figure = result.plot()
     assert isinstance(figure, matplotlib.figure.Figure) and figure.axes
-    with pytest.raises(ValueError, match="found 'sky'; one of track, timestream_psd, map, map_psd"):
-        result.plot("sky")
+    with pytest.raises(ValueError, match="found 'skies'; one of track, timestream_psd, map, map_psd"):
+        result.plot("skies")
