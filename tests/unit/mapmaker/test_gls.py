@@ -5,7 +5,7 @@ import pytest
 
 from mapmaker.destriping import BaselineWeight
 from mapmaker.geometry import MapGeometry
-from mapmaker.gls import GlsOptions, NoiseModel, band_slices, gls_map, measure_noise
+from mapmaker.gls import GlsOptions, NoiseModel, band_slices, gls_map, measure_noise, measure_scan_noise
 from mapmaker.iterative import StreamBlock
 from mapmaker.normal_equations import (
     NormalBlock,
@@ -93,8 +93,9 @@ def test_map_is_the_dense_solution():
     result = gls_map(GEOMETRY, lambda: iter(blocks), sample_rate_hz=RATE, options=TIGHT)
     scans = []
     for block in blocks:
-        noise = measure_noise(block.data_mk, block.scan_bounds, RATE, TIGHT)
-        for start, stop in block.scan_bounds:
+        for s, (start, stop) in enumerate(block.scan_bounds):
+            # Every other scan is in the other part.
+            noise = measure_noise(block.data_mk, block.scan_bounds[1 - s % 2 :: 2], RATE, TIGHT)
             data, index = block.data_mk[:, start:stop], block.index[:, start:stop]
             scans.append((data, index, dense_inverse(noise, stop - start)))
     expected = naive.gls_map(scans, 12)
@@ -111,8 +112,8 @@ def test_even_white_noise_gives_the_binned_map():
     data = rng.standard_normal((5, 48))
     options = GlsOptions(band_edges_hz=(0.0, np.inf), max_modes=0, solve=SolveOptions(1e-12))
     scans = data.reshape(5, 4, 12)
-    # Equal measured levels of all detectors.
-    data /= np.sqrt(np.mean(np.var(scans, axis=2), axis=1))[:, None]
+    # Equal measured levels of all detectors and scans.
+    data /= np.repeat(np.std(scans, axis=2), 12, axis=1)
     result = gls_map(
         GEOMETRY, lambda: [StreamBlock(data, index, bounds, plane(5))], sample_rate_hz=RATE, options=options
     )
@@ -127,9 +128,9 @@ def test_weight_is_that_of_the_white_noise():
     data = np.random.default_rng(5).standard_normal((5, 48))
     options = GlsOptions(band_edges_hz=(0.0, np.inf), max_modes=0)
     block = StreamBlock(data, index, np.arange(4)[:, None] * 12 + [0, 12], plane(5))
-    levels = measure_noise(data, block.scan_bounds, RATE, options).white_mk2[0]
+    levels = [model.white_mk2[0] for model in measure_scan_noise(data, block.scan_bounds, RATE, options).models]
     result = mapped(block, options)
-    np.testing.assert_allclose(result.map.weight, 4 * np.sum(1 / levels) * 11 / 12, rtol=1e-12)
+    np.testing.assert_allclose(result.map.weight, 2 * np.sum(1 / np.array(levels)) * 11 / 12, rtol=1e-12)
 
 
 def test_a_sky_known_beforehand_does_not_disturb_the_noise():
@@ -240,6 +241,7 @@ def test_a_band_without_modes():
         {"band_edges_hz": (-1.0, 1.0)},
         {"max_modes": -1},
         {"eigenvalue_cut": 0.9},
+        {"folds": 1},
     ],
 )
 def test_options_out_of_range(values):
