@@ -234,7 +234,7 @@ def test_effects_of_curved_tracks_are_flagged(scene_of, name, keys):
 
 
 def test_effects_of_tracks_are_those_of_the_pattern(scene_of):
-    """Stripes are those of rasters, turns and filters those of curves; a wide daisy hardly turns within a wavelength."""
+    """Stripes are those of rasters, turns and filters those of curves; a wide daisy hardly turns in a wavelength."""
     text = SMALL_SCENE.replace("mask_separation_f_lambda = 1.3\n", "")
     keys = {"cleaning.algorithm": ["average", "time_polynomial"], "cleaning.time_order": 2}
     raster = effects_of(scene_of(text, **keys))
