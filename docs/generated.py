@@ -63,7 +63,7 @@ def config_sections() -> Iterator[tuple[str, type[Section]]]:
             yield (f"`[[{name}]]`{kind}" if step else f"`[{name}]`"), section
             for key, item in section.model_fields.items():
                 for inner in _sections(item.annotation):
-                    yield f"`[[{name}.{key}]]`", inner
+                    yield (f"`[{name}.{key}]`" if inner is item.annotation else f"`[[{name}.{key}]]`"), inner
 
 
 def _sections(annotation: Any) -> list[type[Section]]:
@@ -88,6 +88,8 @@ _TYPES = {float: "number", int: "integer", str: "text"}
 def _type(annotation: Any) -> str:
     """Name of a type."""
     parts = get_args(annotation)
+    if _sections(annotation) == [annotation]:
+        return "section"
     if get_origin(annotation) is Literal:
         return ", ".join(f'`"{choice}"`' for choice in parts)
     if named := [item.text for item in parts if isinstance(item, Kind)]:
@@ -111,7 +113,7 @@ def _default(field: FieldInfo) -> str:
     value = field.default
     if field.is_required():
         return "**required**"
-    if value is None or value == ():
+    if value is None or value == () or isinstance(value, Section):
         return ""
     if any(isinstance(item, Kind) and item.text.startswith("time") for item in field.metadata):
         return f'`"{value:g} s"`'

@@ -109,7 +109,7 @@ def null_tests(n_test: int, n_realization: int, seed: int) -> list[mm.NullTest]:
     for _, sky in zip(range(n_test), skies(cmb, rng), strict=False):
         realized = mm.null_power(scan_noise(n_realization, rng), coupling)
         splits = mm.null_power(scan_noise(1, rng)[0] + sky, coupling)
-        found.append(mm.null_test(splits, realized))
+        found.append(mm.null_test(splits, realized, coupling))
     return found
 
 
@@ -137,7 +137,7 @@ def band_powers() -> str:
 def chi_squareds(whole: Recovery, filtered: Recovery, many: Recovery) -> str:
     """Markdown: mean chi-squared of 100 skies and the probability that PTEs are uniform."""
     measured = mm.monte_carlo_covariance(many.found)
-    text = "| skies | covariance | mean chi^2 of 10 bins | KS probability of the PTEs |\n|---|---|---:|---:|\n"
+    text = "| skies | covariance | mean chi^2 of 9 bins | KS probability of the PTEs |\n|---|---|---:|---:|\n"
     for name, skies_, covariance in (
         ("100", whole, whole.analytic),
         ("100", whole, measured),
@@ -152,7 +152,7 @@ def chi_squareds(whole: Recovery, filtered: Recovery, many: Recovery) -> str:
 
 def nulls() -> str:
     """Markdown: null tests with few and many realizations."""
-    text = "| realizations | tests | mean chi^2 of 10 bins | PTE below 0.05 [%] | the same, chi^2 distribution [%] "
+    text = "| realizations | tests | mean chi^2 of 9 bins | PTE below 0.05 [%] | the same, chi^2 distribution [%] "
     text += "| KS probability |\n|---:|---:|---:|---:|---:|---:|\n"
     for n_realization, n_test in ((15, 1000), (30, 1000), (100, 200)):
         found = [item.chi_squared for item in null_tests(n_test, n_realization, n_realization)]

@@ -12,6 +12,8 @@ from threadpoolctl import threadpool_limits
 
 # A combination of residuals below this part of the tolerance has converged.
 _NEGLIGIBLE = 0.1
+# Residuals that grow by this factor tell that rounding has taken over.
+_GROWTH = 100.0
 
 
 @threadpool_limits.wrap(limits=1)  # no bit depends on the cores of the machine
@@ -32,16 +34,20 @@ def block_descent(
     Returns
     -------
     solution : (n_right, n)
+        The best so far if rounding ends the iterations before the target.
     iterations
         Applications of A.
     """
-    solution = np.zeros_like(right)
+    solution, best, least = np.zeros_like(right), np.zeros_like(right), np.inf
     basis, step = _significant(right.T, np.eye(len(right)), target)
     parts = step  # residuals are basis @ parts
     direction = basis
     for k in range(max_iterations):
-        if not len(parts) or (np.linalg.norm(parts, axis=0) <= target).all():
-            return solution, k
+        distance = np.max(np.linalg.norm(parts, axis=0) / target) if len(parts) else 0.0
+        if distance < least:
+            best, least = solution.copy(), distance
+        if distance <= 1 or distance > _GROWTH * least:
+            return best, k
         ahead = apply(np.ascontiguousarray(direction.T)).T
         square = direction.T @ ahead
         length = np.linalg.pinv((square + square.T) / 2, rcond=1e-12, hermitian=True)

@@ -19,6 +19,9 @@ from mapmaker.conjugate_gradients import block_descent
 from mapmaker.map_scaling import scaling
 from mapmaker.validation import number, whole
 
+# The residual of the recurrence drifts from the true one: it is computed anew after a descent by this factor.
+_ONE_DESCENT = 1e-5
+
 
 class NoiseWeight(Protocol):
     """Inverse noise covariance N^-1 of the scans of a block."""
@@ -180,13 +183,17 @@ def solve_normal(
 
     norm = np.linalg.norm(root.back(right), axis=1)
     norm[norm == 0] = 1.0
-    sky, rest, iterations, residual = np.zeros(right.shape), root.back(right), 0, np.ones(len(right))
+    sky, rest, iterations = np.zeros(right.shape), root.back(right), 0
+    residual = np.linalg.norm(rest, axis=1) / norm
     while iterations < options.max_iterations and (residual > options.tolerance).any():
-        target, left = 0.9 * options.tolerance * norm, options.max_iterations - iterations
-        step, taken = block_descent(scaled, rest, target=target, max_iterations=left)
-        sky, iterations, before = sky + root(step), iterations + taken, residual
-        rest = root.back(right - apply(sky))  # the residual of the recurrence drifts from the true one
-        residual = np.linalg.norm(rest, axis=1) / norm
-        if residual.max() > 0.5 * before.max():  # rounding of the matrix
+        target = np.maximum(0.9 * options.tolerance, _ONE_DESCENT * residual) * norm
+        step, taken = block_descent(scaled, rest, target=target, max_iterations=options.max_iterations - iterations)
+        new, iterations = sky + root(step), iterations + taken
+        rest = root.back(right - apply(new))
+        found = np.linalg.norm(rest, axis=1) / norm
+        better = found < residual
+        sky[better], before = new[better], residual.max()
+        residual = np.minimum(found, residual)
+        if not better[residual > options.tolerance].all() or residual.max() > 0.5 * before:  # rounding of the matrix
             break
     return Solution(sky, iterations, residual, residual <= options.tolerance)

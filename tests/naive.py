@@ -341,13 +341,39 @@ def gls_map(scans, n_pixel):
     """Maximum-likelihood map by a dense pseudo-inverse, from (data, index, N^-1) of each scan."""
     normal, right = np.zeros((n_pixel, n_pixel)), np.zeros(n_pixel)
     for data, index, inverse in scans:
-        pointing = np.zeros((data.size, n_pixel))
-        for sample, pixel in enumerate(index.ravel()):
-            if pixel >= 0:
-                pointing[sample, pixel] = 1
+        pointing = pointing_matrix(index, n_pixel)
         normal += pointing.T @ inverse @ pointing
         right += pointing.T @ inverse @ data.ravel()
     return np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ right
+
+
+def pointing_matrix(index, n_pixel):
+    """P (n_det n_samp, n_pixel); rows of samples off the map are 0."""
+    pointing = np.zeros((index.size, n_pixel))
+    for sample, pixel in enumerate(index.ravel()):
+        if pixel >= 0:
+            pointing[sample, pixel] = 1
+    return pointing
+
+
+def baseline_matrix(index, edges):
+    """F (n_det n_samp, n_det n_baseline): 1 where a sample with data is in a baseline of its detector."""
+    columns = []
+    for d in range(len(index)):
+        for first, end in edges:
+            column = np.zeros(index.shape)
+            for n in range(first, end):
+                column[d, n] = index[d, n] >= 0
+            columns.append(column.ravel())
+    return np.array(columns).T
+
+
+def baseline_inverse(index, edges, weight):
+    """N^-1 (n_det n_samp, n_det n_samp) of white noise with baselines of infinite variance; 0 without data."""
+    level = np.diag(np.where(index >= 0, weight[:, None], 0.0).ravel())
+    loose = baseline_matrix(index, edges)
+    fit = loose @ np.linalg.pinv(loose.T @ level @ loose) @ loose.T
+    return level - level @ fit @ level
 
 
 def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, loose, share, own, lost, filtered):

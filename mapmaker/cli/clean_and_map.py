@@ -46,8 +46,8 @@ def clean_and_map(
                 done[0] = number if what == "cleaning" else 0
                 show(what, number, total)
 
-            result = run(files, settings, told)
-            show("writing", 0, 0)
+            result = run(files, settings, told, folder)
+            show("writing results", 0, 0)
             write_outputs(folder, result)
     except KeyboardInterrupt as error:
         error.add_note(f"{done[0]} of {len(files)} files were cleaned; nothing is kept of them, {out} is as before")

@@ -24,7 +24,7 @@ def progress_display(quiet: bool) -> Iterator[Show]:
 
 def _show_line(what: str, done: int, total: int) -> None:
     if not total:
-        complain(f"{what} results")
+        complain(what)
     elif done % max(1, total // LINES) == 0 or done == total:
         complain(f"{what}: {done}/{total} files")
 

@@ -1,6 +1,7 @@
 """Cleaning of one file: usable data, cleaning, tests of the cleaned streams, and weights."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -52,8 +53,9 @@ class CleanedFile:
     labels : (n_det,)
         Names of the detectors, or their numbers in the file.
     streams
-        Streams of the detectors that are used; flags are all lost samples. `data_mk` is cleaned, and 0 in discarded
-        scans.
+        Streams of the detectors that are used, with lost samples filled; flags are all lost samples.
+    cleaned_mk : (n_det, n_samp)
+        Cleaned streams.
     bounds : (n_scan, 2)
         Scans that are used.
     used : (n_det, n_scan) bool
@@ -68,6 +70,7 @@ class CleanedFile:
     name: str
     labels: np.ndarray
     streams: Timestreams
+    cleaned_mk: np.ndarray
     bounds: np.ndarray
     used: np.ndarray
     variance_mk2: np.ndarray
@@ -116,15 +119,20 @@ def _clean(streams: Timestreams, state: Usable, config: Config) -> Cleaned:
     live = state.live
     plane, lost = streams.focal_plane.subset(live), state.lost[live]
     filled = fill_flagged(streams.data_mk[live], state.bounds, lost)
-    rate_hz = 1 / float(np.median(np.diff(streams.time_s)))
     try:
-        steps = [(step.algorithm, step.options(rate_hz)) for step in config.cleaning]
+        steps = cleaning_steps(streams, config)
     except ArgumentError as error:  # a frequency beyond what the file has
         raise _uncleanable(state, error) from None
     try:
         return clean_in_order(steps, filled, state.bounds, plane)
     except InsufficientDataError as error:
         raise _uncleanable(state, error) from None
+
+
+def cleaning_steps(streams: Timestreams, config: Config) -> list[tuple[str, Any]]:
+    """Names and options of the cleaning steps; raises ValueError for a frequency beyond what the streams have."""
+    rate_hz = 1 / float(np.median(np.diff(streams.time_s)))
+    return [(step.algorithm, step.options(rate_hz)) for step in config.cleaning]
 
 
 def _uncleanable(state: Usable, error: Exception) -> UnusableFileError:
@@ -224,11 +232,13 @@ def _result(streams: Timestreams, state: Usable, cleaned: Cleaned, glitches: np.
     if not kept.any():
         raise UnusableFileError((*dropped, Dropped(state.name, FILE, NO_SCAN, detail="cleaning discarded all scans")))
     lost, bounds = state.lost[rows], state.bounds[kept]
-    some = replace(streams, data_mk=cleaned.data_mk, focal_plane=streams.focal_plane.subset(rows), flags=lost)
+    filled = fill_flagged(streams.data_mk[rows], bounds, lost)
+    some = replace(streams, data_mk=filled, focal_plane=streams.focal_plane.subset(rows), flags=lost)
     return CleanedFile(
         name=state.name,
         labels=state.labels[rows],
         streams=some,
+        cleaned_mk=cleaned.data_mk,
         bounds=bounds,
         used=~state.left_out[rows][:, kept],
         variance_mk2=mean_square(cleaned.data_mk, lost, bounds),

@@ -10,6 +10,7 @@ from surveysim.forecasting.observing_conditions import ObservingConditions
 from surveysim.forecasting.pilot import KeptScans
 from surveysim.forecasting.track_motions import TrackMotions
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
+from surveysim.reduction.map_noise import weighs_itself
 from surveysim.reduction.scored_region import ScoredRegion
 from surveysim.reduction.setup import Setup
 from surveysim.scene.scene import Scene
@@ -21,7 +22,7 @@ LARGE = 0.1  # relative size above which an effect is flagged
 MOST_TEMPLATES = 0.25  # templates a detector above which they are flagged
 MOST_LOST = 0.3  # fraction of lost samples above which they are flagged
 MOST_UNEVEN = 0.25  # excess noise above which uneven coverage is flagged
-MOST_TAKEN = 0.2  # weight that a solved map loses above which it is flagged
+MOST_TAKEN = 0.5  # weight that a solved map loses above which it is flagged
 _RESOLUTIONS = 3.0  # of `resolution_ell`: lower end of compared multipoles
 _BEAM_LEFT = 0.03  # power in the beam: upper end of compared multipoles
 _PIXEL_REACH = 0.75  # of the map pixel's Nyquist multipole
@@ -160,7 +161,8 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
     if not inputs.tracks.straight:
         yield _curvature(setup.analysis.region, inputs)
     yield _uneven_coverage(setup.analysis.region, inputs.hits)
-    yield _weights(setup.analysis.region, inputs)
+    if not weighs_itself(setup.scene.map):
+        yield _weights(setup.analysis.region, inputs)
     yield _low_multipoles(setup, inputs.share)
 
 

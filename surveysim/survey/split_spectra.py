@@ -16,7 +16,7 @@ from mapmaker.cross_spectra import (
 )
 from mapmaker.flat_spectra import flat_coupling
 from mapmaker.mode_coupling import ModeCoupling
-from mapmaker.null_tests import ChiSquared, NullTest, chi_squared, null_power
+from mapmaker.null_tests import ChiSquared, NullTest, chi_squared, null_power, null_test
 from mapmaker.spectrum import annuli, map_psd, mode_ell
 from mapmaker.transfer_function import TransferFunction, measure_transfer_function, mode_pixel_window
 from surveysim.reduction.cleaning_pipelines import ACTUAL
@@ -221,17 +221,12 @@ def _with_transfer(measure: _Measure, covariance: Covariance, power_uk2: np.ndar
 def _null(measure: _Measure, coadds: CoAdds, split: Split) -> tuple[NullTest, float]:
     """Compare the power of the difference of parts with that of its noise.
 
-    The realizations, with a power correlated by r, scatter less than the noise by 1 - r. The sky is removed from them,
-    so they are not correlated with the difference itself.
+    The sky is removed from the realizations, so they are not correlated with the difference itself.
     """
     both = part_maps(measure.setup.analysis, coadds, split, [slice(0, None, 2), slice(1, None, 2)])
     pad = measure.setup.analysis.region.pad
-    realized = null_power(pad(both.noise_uk), measure.coupling)
-    excess = null_power(pad(both.maps_uk), measure.coupling) - realized.mean(axis=0)
-    covariance, common = monte_carlo_covariance(realized), both.common
-    factor = (1 + common + (1 - common) / len(realized)) / (1 - common)
-    covariance = replace(covariance, matrix_uk4=covariance.matrix_uk4 * factor)
-    return NullTest(excess, covariance.error_uk2, chi_squared(excess, covariance)), both.independent
+    power, realized = (null_power(pad(maps), measure.coupling) for maps in (both.maps_uk, both.noise_uk))
+    return null_test(power, realized, measure.coupling, common=both.common), both.independent
 
 
 def _measured_spectrum(powers: BandPowers) -> Spectrum:

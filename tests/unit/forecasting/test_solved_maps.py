@@ -53,7 +53,7 @@ def test_baselines_are_those_of_the_map_maker(n_samp, length):
     data = np.random.default_rng(1).standard_normal((3, n_samp))
     data -= data.mean(axis=1, keepdims=True)
     weight = BaselineWeight(np.ones(3), length)
-    expected = weight.apply(data, np.zeros((3, n_samp), int), np.array([[0, n_samp]]))
+    expected = weight.apply(data[None], np.zeros((3, n_samp), int), np.array([[0, n_samp]]))[0]
     np.testing.assert_allclose(baseline_filter(n_samp, length).apply(data.T).T, expected, atol=1e-12)
 
 

@@ -9,6 +9,7 @@ import pytest
 from mapmaker.geometry import MapGeometry, pixel_indices
 from mapmaker.kernels.weighted_sums import add_weighted
 from mapmaker.pipeline.config import Config, JackknifeSection
+from mapmaker.pipeline.mapped_file import mapped_file
 from mapmaker.pipeline.noise_spectra import coverage_taper, noise_spectra
 from mapmaker.pipeline.one_file import clean_file
 from mapmaker.pipeline.run import clean_and_map, sample_weights
@@ -54,7 +55,8 @@ def sums_of(config, items, nside=None, uniform=False):
     sums = MapSums(GEOMETRY, make_splits(config.jackknives, len(items)), uniform, nside)
     for k, item in enumerate(items):
         cleaned = clean_file(f"{k}", item, config)
-        sums.add(cleaned, sample_weights(cleaned, "uniform" if uniform else "detector"), (k, len(items)))
+        weight = sample_weights(cleaned, "uniform" if uniform else "detector")
+        sums.add(mapped_file(GEOMETRY, cleaned, weight, sums.splits, place=(k, len(items)), order={}))
     return sums
 
 
@@ -68,8 +70,9 @@ def test_a_sky_without_noise_cancels_in_all_halves():
     sums = MapSums(GEOMETRY, make_splits(NONE.jackknives, 4), False, None)
     for k, item in enumerate(items):
         cleaned = clean_file(f"{k}", item, NONE)
-        cleaned = replace(cleaned, streams=replace(cleaned.streams, data_mk=item.data_mk))  # with its means
-        sums.add(cleaned, np.linspace(1, 2 + k, N_DET), (k, 4))
+        cleaned = replace(cleaned, cleaned_mk=item.data_mk)  # with its means
+        weight = np.linspace(1, 2 + k, N_DET)
+        sums.add(mapped_file(GEOMETRY, cleaned, weight, sums.splits, place=(k, 4), order={}))
     assert len(sums.splits) == 6
     for k in range(6):
         noise = sums.noise_map(k)
@@ -83,7 +86,7 @@ def test_psds_of_white_noise():
     items = [streams(k, source_mk=0.0, drift_mk=0.0) for k in range(6)]
     sums = sums_of(NONE, items)
     fwhm = items[0].focal_plane.fwhm_rad
-    found, weight = noise_spectra(sums, fwhm), sums.map().weight[0]
+    found, weight = noise_spectra(sums.maps(), fwhm), sums.map().weight[0]
     taper = coverage_taper(sums.map(), fwhm)
     expected = np.sum(taper[weight > 0] ** 2 / weight[weight > 0]) / np.sum(taper**2) * GEOMETRY.pixel_rad**2
     assert weight.sum() == pytest.approx(sums.hits[0].sum() / WHITE_MK**2, rel=0.05)
@@ -99,10 +102,10 @@ def test_healpix_maps_are_those_of_the_directions(centre, tmp_path):
     """Each sample goes to the pixel of its direction, computed apart; there is no hole."""
     items = [streams(k, centre) for k in range(2)]
     config = Config.model_validate({"map": {"healpix_nside": 2048, "weights": "uniform"}})
-    sums = clean_and_map(written(tmp_path, items), config).sums
-    found, hits = sums.healpix, np.zeros(12 * 2048**2, int)
-    assert found.hits.sum() == sums.hits[0].sum()
-    assert found.weighted_sum.sum() == pytest.approx(sums.weighted_sum[0].sum())
+    maps = clean_and_map(written(tmp_path, items), config).maps
+    found, hits = maps.healpix, np.zeros(12 * 2048**2, int)
+    assert found.hits.sum() == maps.map.hits.sum()
+    assert found.weighted_sum.sum() == pytest.approx(maps.map.weighted_sum.sum())
     for item in items:
         inside = item.scan >= 0
         vector = healpy.ang2vec(np.pi / 2 - item.dec_rad, item.ra_rad)

@@ -96,7 +96,7 @@ def test_the_map_is_that_of_the_data_that_are_left(pair):
 
     The template of fewer detectors contains more of the source, which leaves a deeper ring about it.
     """
-    good, bad = (result.sums.map() for result in pair)
+    good, bad = (result.maps.map for result in pair)
     far = np.hypot(*pixel_centres(bad.geometry))[None] > 5 * ARCMIN
     seen = far & (bad.weight > 0.3 * bad.weight.max())
     assert seen.sum() > 700  # the ratio scatters by 5 %
