@@ -5,7 +5,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from generated import command_reference, scene_reference
+from generated import command_reference, config_reference, mapmaker_command_reference, scene_reference
 from generated_python import api_reference, module_reference
 
 from surveysim import __version__
@@ -26,6 +26,8 @@ html_copy_source = False
 GENERATED = {
     "<!-- all keys of a scene, made from the schema -->": scene_reference,
     "<!-- all commands, made from the program -->": command_reference,
+    "<!-- all commands of mapmaker, made from the program -->": mapmaker_command_reference,
+    "<!-- all keys of a configuration of mapmaker, made from the schema -->": config_reference,
     "<!-- all public names, made from the packages -->": api_reference,
     "<!-- all modules, made from the packages -->": module_reference,
 }

@@ -58,13 +58,11 @@ class BaselineWeight:
 
     def apply(self, data_mk: np.ndarray, index: np.ndarray, scan_bounds: np.ndarray) -> np.ndarray:
         """Compute ``N^-1 d``; see `NoiseWeight`."""
-        out = np.zeros_like(data_mk)
-        weight = self.weight.astype(data_mk.dtype)[:, None]
-        for first, end in baselines(scan_bounds, self.length):
-            seen = index[:, first:end] >= 0
-            piece = np.where(seen, data_mk[..., first:end], 0)
-            mean = piece.sum(axis=-1, dtype=float) / np.maximum(1, seen.sum(axis=-1))
-            out[..., first:end] = weight * np.where(seen, piece - mean[..., None].astype(data_mk.dtype), 0)
+        from mapmaker.kernels.baselines import project_baselines
+
+        out = np.empty_like(data_mk)
+        weight = self.weight.astype(data_mk.dtype)
+        project_baselines(data_mk, index, baselines(scan_bounds, self.length), weight, out)
         return out
 
     def white(self, scan_bounds: np.ndarray) -> np.ndarray:

@@ -94,10 +94,10 @@ def solved_map(
             if noise is not None:
                 yield NormalBlock(block.index, bounds, noise)
 
-    solution = solve_normal(normal_matrix(blocks, stream_type), right[None], weight, options=options)
-    shape = map_shape(geometry)
-    total, weight, hits = (solution.sky_mk[0] * weight).reshape(shape), weight.reshape(shape), hits.reshape(shape)
-    result = BinnedMap(geometry, total, weight, hits)
+    plane, shape = weight.reshape(geometry.n_y, geometry.n_x), map_shape(geometry)
+    solution = solve_normal(normal_matrix(blocks, stream_type), right[None], plane, options=options)
+    total = solution.sky_mk[0] * weight
+    result = BinnedMap(geometry, total.reshape(shape), weight.reshape(shape), hits.reshape(shape))
     return SolvedMap(result, solution.iterations, float(solution.residual[0]), bool(solution.converged[0]), discarded)
 
 

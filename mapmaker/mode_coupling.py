@@ -13,6 +13,7 @@ from mapmaker.validation import reals
 LEAST_TRANSFER = 1e-3  # of the power of a bin: with less, its band power is not defined
 LEAST_WINDOW = 1e-6  # the same of beam and pixels, beside the best bin
 MOST_CONDITION = 100.0  # condition number of the coupling matrix from which errors of band powers are amplified
+LARGEST_CONDITION = 1e10  # beyond, rounding errors of the inverse matter
 FEWEST_MODES = 10.0  # degrees of freedom of a bin whose errors are about Gaussian
 
 
@@ -26,6 +27,10 @@ class Field(Protocol):
 
     def pseudo_power(self, maps_uk: np.ndarray) -> np.ndarray:
         """Binned power (..., n_bin) [uK^2 sr] of tapered maps (..., *shape)."""
+        ...
+
+    def unevenness(self, map_uk: np.ndarray) -> np.ndarray:
+        """Variance of the modes' power in each bin over that of modes of one variance, (n_bin,)."""
         ...
 
 
@@ -117,6 +122,23 @@ class ModeCoupling:
         return np.where(self.usable, self.transfer, 0) * ((self.response * (below | above)) @ powers)
 
 
+def unevenness(power: np.ndarray, place: np.ndarray, n_bin: int) -> np.ndarray:
+    """Mean square of the power of complex Gaussian modes over twice its squared mean, in each bin, (n_bin,).
+
+    It is about 1 if the modes of a bin have one variance, else the mean of their squared variances over their squared
+    mean.
+
+    Parameters
+    ----------
+    power : (n_mode,)
+    place : (n_mode,)
+        Bin of each mode; `n_bin` for modes outside.
+    n_bin
+    """
+    count, first, second = (np.bincount(place, power**order, n_bin + 1)[:n_bin] for order in range(3))
+    return np.divide(count * second, 2 * first**2, out=np.ones(n_bin), where=first > 0)
+
+
 def narrow_edges(edges_ell: np.ndarray, step: float, top: float) -> np.ndarray:
     """Edges of narrow bins of about `step`, from 0 to beyond `top`, that subdivide the bins."""
     whole = np.concatenate(([0.0] if edges_ell[0] > 0 else [], edges_ell, [top + step] if top >= edges_ell[-1] else []))
@@ -136,7 +158,7 @@ def usable_bins(window: np.ndarray, transfer: np.ndarray | None) -> tuple[np.nda
     Raises
     ------
     ValueError
-        For a transfer function of other bins or below 0, and if no bin is left.
+        For a transfer function of other bins, and if no bin is left.
     """
     transfer = np.ones(window.size) if transfer is None else reals("transfer", transfer, window.shape, finite=False)
     usable = (transfer >= LEAST_TRANSFER) & (window > 0) & (window >= LEAST_WINDOW * window.max())
@@ -146,7 +168,13 @@ def usable_bins(window: np.ndarray, transfer: np.ndarray | None) -> tuple[np.nda
 
 
 def coupling_flags(coupling: ModeCoupling) -> tuple[str, ...]:
-    """Reasons to distrust band powers: lost bins, narrow bins, few modes, errors that decoupling amplifies."""
+    """Reasons to distrust band powers: lost bins, narrow bins, few modes, errors that decoupling amplifies.
+
+    Raises
+    ------
+    ValueError
+        For a coupling that has no inverse.
+    """
     flags = []
     usable, widths = coupling.usable, np.diff(coupling.edges_ell)
     if not usable.all():
@@ -164,6 +192,11 @@ def coupling_flags(coupling: ModeCoupling) -> tuple[str, ...]:
             f"{few.sum()} of {few.size} bins: fewer than {FEWEST_MODES:.0f} modes, and errors that are not Gaussian"
         )
     condition = _condition(coupling.matrix[np.ix_(usable, usable)])
+    if not condition < LARGEST_CONDITION:
+        raise InsufficientDataError(
+            f"the taper resolves {coupling.resolution_ell:.0f} in ell, and a coupling of bins {widths.min():.0f} wide "
+            "has no inverse: wider bins are expected"
+        )
     if condition > MOST_CONDITION:
         flags.append(f"a coupling matrix of the condition number {condition:.2g}: decoupling amplifies errors")
     return tuple(flags)

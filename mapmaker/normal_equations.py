@@ -14,7 +14,13 @@ from typing import Protocol
 
 import numpy as np
 
+from mapmaker.chunks import row_chunks
+from mapmaker.conjugate_gradients import block_descent
+from mapmaker.map_scaling import scaling
 from mapmaker.validation import number, whole
+
+# The residual of the recurrence drifts from the true one: it is computed anew after a descent by this factor.
+_ONE_DESCENT = 1e-5
 
 
 class NoiseWeight(Protocol):
@@ -65,11 +71,12 @@ class SolveOptions:
     Attributes
     ----------
     tolerance
-        Residual of the normal equations over their right-hand side, by which a solution counts as converged.
+        Residual of the normal equations over their right-hand side, each mode of the map in units of its noise: about
+        the error of the solution in units of the noise, if the map has little signal.
     max_iterations
     """
 
-    tolerance: float = 1e-5
+    tolerance: float = 1e-4
     max_iterations: int = 300
 
     def __post_init__(self) -> None:
@@ -89,7 +96,7 @@ class Solution:
     iterations
         Applications of the normal matrix in iterations.
     residual : (n_right,)
-        Norm of the residual over that of the right-hand side, computed anew from the solution.
+        Residual over right-hand side as for `SolveOptions.tolerance`, computed anew from the solution.
     converged : (n_right,)
         Whether the residual is within the tolerance.
     """
@@ -115,9 +122,10 @@ def add_normal(block: NormalBlock, skies_mk: np.ndarray, out: np.ndarray) -> Non
     """
     from mapmaker.kernels.pixels import look_up
 
-    streams = np.empty((len(skies_mk), *block.index.shape), skies_mk.dtype)
-    look_up(skies_mk, block.index, streams)
-    _bin(block, block.noise.apply(streams, block.index, block.scan_bounds), out)
+    for rows in row_chunks(len(skies_mk), block.index.size):
+        streams = np.empty((len(skies_mk[rows]), *block.index.shape), skies_mk.dtype)
+        look_up(skies_mk[rows], block.index, streams)
+        _bin(block, block.noise.apply(streams, block.index, block.scan_bounds), out[rows])
 
 
 def add_diagonal(block: NormalBlock, weight: np.ndarray, hits: np.ndarray) -> None:
@@ -156,56 +164,36 @@ def normal_matrix(
 def solve_normal(
     apply: Callable[[np.ndarray], np.ndarray], right: np.ndarray, weight: np.ndarray, *, options: SolveOptions
 ) -> Solution:
-    """Solve the normal equations for several right-hand sides by conjugate gradients, in lockstep.
-
-    Each right-hand side has its own steps; those that converged take no further part.
+    """Solve the normal equations for several right-hand sides, by conjugate gradients with common directions.
 
     Parameters
     ----------
     apply
         Function that applies the normal matrix to skies (n_active, n_pixel), float64.
     right : (n_right, n_pixel)
-    weight : (n_pixel,)
-        Weights of the white noise alone, which precondition; pixels without weight are 0 in the solution.
+    weight : (n_y, n_x)
+        Weights of the white noise alone, by which the equations are scaled; pixels without weight are 0 in the
+        solution.
     options
     """
-    scale = np.divide(1.0, weight, out=np.zeros(len(weight)), where=weight > 0)
-    norm = np.linalg.norm(right, axis=1)
+    root = scaling(apply, weight)
+
+    def scaled(sky: np.ndarray) -> np.ndarray:
+        return root.back(apply(root(sky)))
+
+    norm = np.linalg.norm(root.back(right), axis=1)
     norm[norm == 0] = 1.0
-    sky, rest, iterations = np.zeros(right.shape), right.astype(float), 0
+    sky, rest, iterations = np.zeros(right.shape), root.back(right), 0
     residual = np.linalg.norm(rest, axis=1) / norm
-    while (residual > options.tolerance).any() and iterations < options.max_iterations:
-        active = np.flatnonzero(residual > options.tolerance)
-        left = options.max_iterations - iterations
-        step, taken = _descend(apply, rest[active], scale, options.tolerance * norm[active], left)
-        sky[active] += step
-        iterations += taken
-        # The residual of the recurrence drifts from the true one.
-        rest[active] = right[active] - apply(sky[active])
-        before, residual[active] = residual[active], np.linalg.norm(rest[active], axis=1) / norm[active]
-        if (residual[active] > 0.5 * before).all():  # rounding of the matrix
+    while iterations < options.max_iterations and (residual > options.tolerance).any():
+        target = np.maximum(0.9 * options.tolerance, _ONE_DESCENT * residual) * norm
+        step, taken = block_descent(scaled, rest, target=target, max_iterations=options.max_iterations - iterations)
+        new, iterations = sky + root(step), iterations + taken
+        rest = root.back(right - apply(new))
+        found = np.linalg.norm(rest, axis=1) / norm
+        better = found < residual
+        sky[better], before = new[better], residual.max()
+        residual = np.minimum(found, residual)
+        if not better[residual > options.tolerance].all() or residual.max() > 0.5 * before:  # rounding of the matrix
             break
     return Solution(sky, iterations, residual, residual <= options.tolerance)
-
-
-def _descend(
-    apply: Callable[[np.ndarray], np.ndarray], right: np.ndarray, scale: np.ndarray, target: np.ndarray, most: int
-) -> tuple[np.ndarray, int]:
-    """Conjugate gradients from 0, until the residual by the recurrence is below `target` (n_right,)."""
-    sky, rest = np.zeros(right.shape), right.copy()
-    direction = scale * rest
-    power = np.sum(rest * direction, axis=1)
-    active = np.arange(len(right))
-    for k in range(most):
-        ahead = apply(direction[active])
-        length = power[active] / np.sum(direction[active] * ahead, axis=1)
-        sky[active] += length[:, None] * direction[active]
-        rest[active] -= length[:, None] * ahead
-        active = active[np.linalg.norm(rest[active], axis=1) > target[active]]
-        if not len(active):
-            return sky, k + 1
-        preconditioned = scale * rest[active]
-        new = np.sum(rest[active] * preconditioned, axis=1)
-        direction[active] = preconditioned + (new / power[active])[:, None] * direction[active]
-        power[active] = new
-    return sky, most

@@ -1,7 +1,7 @@
 """Null tests: power in the difference of two splits, its chi-squared, and the probability to exceed it."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from mapmaker.cross_spectra import Covariance, monte_carlo_covariance
 from mapmaker.errors import InsufficientDataError
 from mapmaker.mode_coupling import ModeCoupling
 from mapmaker.validation import flags as truths
-from mapmaker.validation import reals
+from mapmaker.validation import number, reals
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,11 @@ class NullTest:
     Attributes
     ----------
     power_uk2 : (n_bin,)
-        Its excess over the mean of the realizations.
+        Its excess over the mean of the realizations, as band power of the sky; NaN in bins that are not usable.
     error_uk2 : (n_bin,)
         Standard error of the excess.
     chi_squared
+        Of the logarithm of the power about that of the realizations.
     """
 
     power_uk2: np.ndarray
@@ -81,22 +82,27 @@ def chi_squared(residual_uk2: np.ndarray, covariance: Covariance, *, mask: np.nd
     counted = np.isfinite(residual) & np.isfinite(np.diag(matrix))
     if mask is not None:
         counted &= truths("mask", mask, residual.shape)
-    n_bin, n_realization = int(counted.sum()), covariance.n_realizations
-    if n_bin == 0:
+    if not counted.any():
         raise InsufficientDataError("a chi-squared needs at least one bin with a band power")
-    if n_realization and n_realization <= n_bin + 2:
-        return ChiSquared(math.nan, n_bin, math.nan, "Hotelling", covariance.flags)
-    part = residual[counted]
-    value = float(part @ np.linalg.solve(matrix[np.ix_(counted, counted)], part))
+    return _chi_squared(
+        residual[counted], matrix[np.ix_(counted, counted)], covariance.n_realizations, covariance.flags
+    )
+
+
+def _chi_squared(residual: np.ndarray, matrix: np.ndarray, n_realization: int, flags: tuple[str, ...]) -> ChiSquared:
+    """Chi-squared of a residual (n_bin,) with a covariance (n_bin, n_bin) of realizations, or of none."""
+    n_bin, free = residual.size, n_realization - residual.size
+    if n_realization and free <= 2:
+        return ChiSquared(math.nan, n_bin, math.nan, "Hotelling", flags)
+    value = float(residual @ np.linalg.solve(matrix, residual))
     if not n_realization:
-        return ChiSquared(value, n_bin, _chi_squared_tail(value, n_bin), "chi-squared", covariance.flags)
-    free = n_realization - n_bin
+        return ChiSquared(value, n_bin, _chi_squared_tail(value, n_bin), "chi-squared", flags)
     pte = _f_tail(value * free / ((n_realization - 1) * n_bin), n_bin, free)
-    return ChiSquared(value * (free - 2) / (n_realization - 1), n_bin, pte, "Hotelling", covariance.flags)
+    return ChiSquared(value * (free - 2) / (n_realization - 1), n_bin, pte, "Hotelling", flags)
 
 
 def null_power(pair_uk: np.ndarray, coupling: ModeCoupling) -> np.ndarray:
-    """Band power of half the difference of two maps of one sky: of noise alone.
+    """Binned pseudo-power of half the difference of two maps of one sky: of noise alone.
 
     Parameters
     ----------
@@ -107,7 +113,7 @@ def null_power(pair_uk: np.ndarray, coupling: ModeCoupling) -> np.ndarray:
     Returns
     -------
     (..., n_bin) array
-        [uK^2], in the unit of the sky's band powers; NaN in bins that are not usable.
+        [uK^2 sr], for `null_test`.
 
     Raises
     ------
@@ -117,33 +123,57 @@ def null_power(pair_uk: np.ndarray, coupling: ModeCoupling) -> np.ndarray:
     shape = coupling.field.shape
     pair_uk = reals("pair_uk", pair_uk, (..., 2, *shape))
     first, second = np.moveaxis(pair_uk, -1 - len(shape), 0)
-    return coupling.decouple(coupling.field.pseudo_power((first - second) / 2))
+    return coupling.field.pseudo_power((first - second) / 2)
 
 
-def null_test(power_uk2: np.ndarray, realized_uk2: np.ndarray, *, mask: np.ndarray | None = None) -> NullTest:
+def null_test(
+    power: np.ndarray,
+    realized: np.ndarray,
+    coupling: ModeCoupling,
+    *,
+    mask: np.ndarray | None = None,
+    common: float = 0.0,
+) -> NullTest:
     """Compare the power of a difference of splits with that of realizations of its noise.
+
+    The power of Gaussian noise in a bin of few modes is far from Gaussian, and its logarithm nearly is. So the
+    chi-squared is that of logarithms, about their mean over the realizations and with their covariance.
 
     Parameters
     ----------
-    power_uk2 : (n_bin,)
+    power : (n_bin,)
         `null_power` of the splits.
-    realized_uk2 : (n_realization, n_bin)
-        That of independent realizations of their noise, which measure the mean and the covariance.
+    realized : (n_realization, n_bin)
+        That of realizations of their noise.
+    coupling
     mask : (n_bin,), optional
-        Bins that count; by default all.
+        Bins that count; by default all that are usable.
+    common
+        Correlation of the powers of the realizations with each other, as of sign flips of the same few observations.
+        Their mean scatters more, and they scatter less, than independent ones.
 
     Raises
     ------
     ValueError
-        As `chi_squared`, and for fewer than 2 realizations.
+        For shapes that differ, power that is not positive, fewer than 2 realizations, and if no bin is left.
     """
-    power = reals("power_uk2", power_uk2, ("n_bin",), finite=False)
-    realized = reals("realized_uk2", realized_uk2, ("n_realization", power.size), finite=False)
-    covariance = monte_carlo_covariance(realized)
-    # The mean of the realizations scatters, too.
-    of_excess = replace(covariance, matrix_uk4=covariance.matrix_uk4 * (1 + 1 / len(realized)))
-    excess = power - realized.mean(axis=0)
-    return NullTest(excess, of_excess.error_uk2, chi_squared(excess, of_excess, mask=mask))
+    power = reals("power", power, (coupling.ell.size,), above=0)
+    realized = reals("realized", realized, ("n_realization", power.size), above=0)
+    number("common", common, least=0, below=1)
+    counted = coupling.usable if mask is None else coupling.usable & truths("mask", mask, power.shape)
+    if not counted.any():
+        raise InsufficientDataError("a null test needs at least one bin with a band power")
+    logarithms = np.log(realized[:, counted])
+    covariance = monte_carlo_covariance(logarithms)
+    # The covariance about the mean of the realizations, over that of the realizations.
+    factor = (1 + common + (1 - common) / len(realized)) / (1 - common)
+    residual = np.log(power[counted]) - logarithms.mean(axis=0)
+    band_powers = coupling.decouple(realized)
+    return NullTest(
+        coupling.decouple(power) - band_powers.mean(axis=0),
+        band_powers.std(axis=0, ddof=1) * np.sqrt(factor),
+        _chi_squared(residual, covariance.matrix_uk4 * factor, len(realized), covariance.flags),
+    )
 
 
 def _chi_squared_tail(value: float, degrees: int) -> float:

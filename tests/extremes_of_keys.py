@@ -32,6 +32,7 @@ SITE = (
 )
 GLITCHES = {"glitches.rate": "1e-3 Hz", "glitches.amplitude": "10 mK", "glitches.decay_time": "0.1 s"}
 GAPS = {"dropped_samples.rate": "1e-3 Hz", "dropped_samples.length": "1 s", "dropped_samples.shared": "array"}
+SPLITS = {"spectra.splits": ["night"], "spectra.parts": 2, "spectra.ell_bin": 1000, "spectra.realizations": 4}
 # What a key needs beside it to be in a scene that has another in its place.
 BESIDE: dict[str, Mapping[str, Any]] = {
     "instrument.layout.field_of_view": {"instrument.layout.rings": None, "instrument.layout.dead": []},
@@ -60,6 +61,7 @@ BESIDE: dict[str, Mapping[str, Any]] = {
     **{f"glitches.{key}": GLITCHES for key in ("slope", "found", "threshold")},
     **{f"dropped_samples.{key}": GAPS for key in ("rate", "length", "shared")},
     **{f"glitches.{key}": GLITCHES for key in ("rate", "amplitude", "decay_time")},
+    **{key: SPLITS for key in SPLITS},
     "optics.stop.temperature": OPTICS | {"instrument.horn_f_lambda": 0.7},
     "optics.central_obscuration": OPTICS | {"optics.aperture": "10 m"},
     "optics.aperture_efficiency": OPTICS | {"optics.aperture": "10 m"},

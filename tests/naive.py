@@ -1,5 +1,7 @@
 """Slow, obvious twins of the kernels: loops that can be read against the equations."""
 
+from itertools import product
+
 import numpy as np
 
 from surveysim.runtime.rng import RandomPurpose, generator
@@ -339,13 +341,39 @@ def gls_map(scans, n_pixel):
     """Maximum-likelihood map by a dense pseudo-inverse, from (data, index, N^-1) of each scan."""
     normal, right = np.zeros((n_pixel, n_pixel)), np.zeros(n_pixel)
     for data, index, inverse in scans:
-        pointing = np.zeros((data.size, n_pixel))
-        for sample, pixel in enumerate(index.ravel()):
-            if pixel >= 0:
-                pointing[sample, pixel] = 1
+        pointing = pointing_matrix(index, n_pixel)
         normal += pointing.T @ inverse @ pointing
         right += pointing.T @ inverse @ data.ravel()
     return np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ right
+
+
+def pointing_matrix(index, n_pixel):
+    """P (n_det n_samp, n_pixel); rows of samples off the map are 0."""
+    pointing = np.zeros((index.size, n_pixel))
+    for sample, pixel in enumerate(index.ravel()):
+        if pixel >= 0:
+            pointing[sample, pixel] = 1
+    return pointing
+
+
+def baseline_matrix(index, edges):
+    """F (n_det n_samp, n_det n_baseline): 1 where a sample with data is in a baseline of its detector."""
+    columns = []
+    for d in range(len(index)):
+        for first, end in edges:
+            column = np.zeros(index.shape)
+            for n in range(first, end):
+                column[d, n] = index[d, n] >= 0
+            columns.append(column.ravel())
+    return np.array(columns).T
+
+
+def baseline_inverse(index, edges, weight):
+    """N^-1 (n_det n_samp, n_det n_samp) of white noise with baselines of infinite variance; 0 without data."""
+    level = np.diag(np.where(index >= 0, weight[:, None], 0.0).ravel())
+    loose = baseline_matrix(index, edges)
+    fit = loose @ np.linalg.pinv(loose.T @ level @ loose) @ loose.T
+    return level - level @ fit @ level
 
 
 def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, loose, share, own, lost, filtered):
@@ -648,3 +676,28 @@ def coupling_on_sphere(spectrum, top):
                 if l3 < len(spectrum):
                     matrix[l1, l2] += (2 * l3 + 1) / (4 * np.pi) * spectrum[l3] * symbol**2
     return matrix
+
+
+def step_statistic(data, lost, bounds, window, fewest):
+    """Loop over samples; see `mapmaker.kernels.cleaned_tests.step_statistic`."""
+    found = np.zeros(data.shape)
+    for d, (start, stop) in product(range(len(data)), bounds):
+        for n in range(start, stop):
+            sides = range(max(start, n - window), n), range(n, min(stop, n + window))
+            before, after = ([data[d, k] for k in side if not lost[d, k]] for side in sides)
+            if min(len(before), len(after)) >= fewest:
+                scale = np.sqrt(1 / len(before) + 1 / len(after))
+                found[d, n] = (np.mean(after) - np.mean(before)) / scale
+    return found
+
+
+def add_weighted_samples(data, index, bounds, weight, n_pixel):
+    """Sums, weights and hits of each pixel; see `mapmaker.kernels.weighted_sums.add_weighted`."""
+    total, exposure, hits = np.zeros(n_pixel), np.zeros(n_pixel), np.zeros(n_pixel, int)
+    for d, (s, (start, stop)) in product(range(len(data)), enumerate(bounds)):
+        for n in range(start, stop):
+            if index[d, n] >= 0 and weight[d, s] != 0:
+                total[index[d, n]] += weight[d, s] * data[d, n]
+                exposure[index[d, n]] += weight[d, s]
+                hits[index[d, n]] += 1
+    return total, exposure, hits

@@ -139,10 +139,10 @@ def time_modes(options: TimeFilterOptions, n_samp: int) -> TimeModes:
         For scans of no more samples than modes and mean.
     """
     if isinstance(options, HighpassOptions):
-        loss = 1 - highpass_response(options, n_samp)
-        degree = np.flatnonzero(loss[1:] >= _LEAST_LOSS) + 1
+        left = highpass_response(options, n_samp)
+        degree = np.flatnonzero(left[1:] <= 1 - _LEAST_LOSS) + 1
         phase = np.pi / n_samp * (np.arange(n_samp)[:, None] + 0.5) * degree
-        return TimeModes(np.sqrt(2 / n_samp) * np.cos(phase), loss[degree], degree % 2 == 1)
+        return TimeModes(np.sqrt(2 / n_samp) * np.cos(phase), 1 - left[degree], degree % 2 == 1)
     if isinstance(options, NotchOptions):
         modes, odd = _notch_modes(options, n_samp)
     else:
@@ -156,13 +156,21 @@ def time_modes(options: TimeFilterOptions, n_samp: int) -> TimeModes:
     return TimeModes(modes, np.ones(len(odd)), odd[: modes.shape[1]])
 
 
+def count_time_modes(options: TimeFilterOptions, n_samp: int) -> int:
+    """Count the modes of `time_modes`, those of a high-pass without making them."""
+    if isinstance(options, HighpassOptions):
+        return int(np.sum(highpass_response(options, n_samp)[1:] <= 1 - _LEAST_LOSS))
+    return time_modes(options, n_samp).modes.shape[1]
+
+
+@lru_cache(maxsize=32)
 def highpass_response(options: HighpassOptions, n_samp: int) -> np.ndarray:
     """Amplitude (n_samp,) that a high-pass leaves of each cosine of a scan; 0 of the mean."""
     frequency = np.arange(n_samp) * options.sample_rate_hz / (2 * n_samp)
     if options.order is None:
         return np.where((frequency >= options.corner_hz * (1 - 1e-12)) & (frequency > 0), 1.0, 0.0)
-    power = (frequency / options.corner_hz) ** (2 * options.order)
-    return np.sqrt(power / (1 + power))
+    with np.errstate(divide="ignore", over="ignore"):  # 0 Hz, and a high order far below the corner
+        return (1 + (options.corner_hz / frequency) ** (2 * options.order)) ** -0.5
 
 
 def _notch_modes(options: NotchOptions, n_samp: int) -> tuple[np.ndarray, np.ndarray]:

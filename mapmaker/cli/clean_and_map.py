@@ -40,14 +40,14 @@ def clean_and_map(
     check_directory(out, force)
     done = [0]
     try:
-        with replaced(out) as folder, progress_display(len(files), quiet) as show:
+        with replaced(out) as folder, progress_display(quiet) as show:
 
-            def told(what: str, number: int) -> None:
+            def told(what: str, number: int, total: int) -> None:
                 done[0] = number if what == "cleaning" else 0
-                show(what, number)
+                show(what, number, total)
 
-            result = run(files, settings, told)
-            show("writing", 0)
+            result = run(files, settings, told, folder)
+            show("writing results", 0, 0)
             write_outputs(folder, result)
     except KeyboardInterrupt as error:
         error.add_note(f"{done[0]} of {len(files)} files were cleaned; nothing is kept of them, {out} is as before")
@@ -65,6 +65,7 @@ def _summary(result: "Result", out: Path) -> str:
     files = [item for item in result.files if item.used]
     share = sum(item.samples_used for item in files) / max(1, sum(item.samples for item in files))
     lines = [f"{len(files)} of {len(result.files)} files mapped, {100 * share:.1f} % of their samples"]
+    lines += [result.maps.solution] if result.maps.solution else []
     totals = reason_totals(result.dropped)
     lines += [f"  {item.text}" for item in totals[:_MOST_LINES]]
     lines += [f"  {item.file}: {item.detail}" for item in result.dropped if item.what == "file"][:_MOST_LINES]

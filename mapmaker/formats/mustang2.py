@@ -56,7 +56,7 @@ def write(path: str | Path, streams: Timestreams) -> None:
         fits.Column("DX", "D", unit="rad", array=ra.ravel()),
         fits.Column("DY", "D", unit="rad", array=dec.ravel()),
         fits.Column("TIME", "D", unit="s", array=np.tile(streams.time_s, shape[0])),
-        fits.Column("SCAN", "J", array=np.tile(streams.scan, shape[0])),
+        fits.Column("SCAN", "K", array=np.tile(streams.scan, shape[0])),
         fits.Column("FNU", "D", unit="K", array=streams.data_mk.ravel().astype(np.float64) / _MK_PER_K),
         fits.Column("UFNU", "D", unit="K", array=np.where(lost, _LOST, 1.0).ravel()),
     ]
@@ -169,17 +169,28 @@ def _array(
     if not abs(dec_rad).max() <= np.pi / 2 * (1 + 1e-9):
         raise InputError(f"DY: found {abs(dec_rad).max():.6g} rad; declinations are expected")
     total = np.zeros((ra_rad.shape[1], 3))
-    for ra, dec in zip(ra_rad, dec_rad, strict=True):
-        total += sky_axes(ra, dec)[0]
+    for sky in zip(ra_rad, dec_rad, strict=True):
+        total += sky_axes(*sky)[0]
     ra, dec = directions(total)
-    sight, east, north = sky_axes(ra, dec)
-    offsets = np.empty(ra_rad.shape, complex)  # north + i east: their arguments are position angles
+    angle, array = _rigid_array(_offsets(ra_rad, dec_rad, ra, dec), beam_rad)
+    return (ra, dec, angle), (-array.imag, array.real)
+
+
+def _offsets(ra_rad: np.ndarray, dec_rad: np.ndarray, ra0_rad: np.ndarray, dec0_rad: np.ndarray) -> np.ndarray:
+    """Offsets (n_det, n_samp) from a boresight in its tangent plane, north + i east: arguments are position angles."""
+    sight, east, north = sky_axes(ra0_rad, dec0_rad)
+    offsets = np.empty(ra_rad.shape, complex)
     for place, *sky in zip(offsets, ra_rad, dec_rad, strict=True):
         line = sky_axes(*sky)[0]
-        depth = (line * sight).sum(axis=-1)
+        depth, to_north, to_east = ((line * axis).sum(axis=-1) for axis in (sight, north, east))
         if not (depth > 0).all():
             raise InputError("DX, DY: found detectors a quarter of a turn apart; an array is expected")
-        place[:] = ((line * north).sum(axis=-1) + 1j * (line * east).sum(axis=-1)) / depth
+        place[:] = (to_north + 1j * to_east) / depth
+    return offsets
+
+
+def _rigid_array(offsets: np.ndarray, beam_rad: float) -> tuple[np.ndarray, np.ndarray]:
+    """Angle (n_samp,) and offsets at the angle 0 (n_det,); raises InputError for detectors that move in the array."""
     array = offsets[:, 0]
     for _ in range(2):  # turn to the array, and average the array
         angle = np.angle((offsets * array.conj()[:, None]).sum(axis=0))
@@ -191,4 +202,4 @@ def _array(
             f"DX, DY: detectors move in the array by {arcsec[0]:.3g} arcsec; "
             f"at most {_LARGEST_SHIFT:.0%} of the beam of {arcsec[1]:.3g} arcsec is expected"
         )
-    return (ra, dec, angle), (-array.imag, array.real)
+    return angle, array

@@ -124,8 +124,15 @@ def _write_samples(file: Any, streams: Timestreams) -> None:
     }
     for name, (array, unit) in detectors.items():
         file.create_dataset(f"detdata/{name}", data=array).attrs["units"] = unit
-    # An interval ends before the sample at or after its end, except at the last sample, which is inside.
-    start, stop = streams.scan_bounds.T
+    _write_scans(file, streams)
+
+
+def _write_scans(file: Any, streams: Timestreams) -> None:
+    """Write the intervals of the scans.
+
+    An interval ends before the first sample at its end or later, except at the last sample, which is inside.
+    """
+    time, (start, stop) = streams.time_s, streams.scan_bounds.T
     ends = np.where(stop < len(time), (time[stop - 1] + time[np.minimum(stop, len(time) - 1)]) / 2, time[-1])
     intervals = file.create_group("intervals")
     intervals.attrs["times"] = "times"

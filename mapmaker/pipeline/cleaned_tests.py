@@ -2,7 +2,12 @@
 
 A trouble of one detector leaves a little in the others, because cleaning subtracts what detectors share. A test
 therefore takes the detectors that stand out most; the others are tested again after the next cleaning.
+
+A bright source is no trouble. Where at least three passes, each of a detector in a scan, see the same place and agree
+that it differs from 0, samples are not tested.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,9 +16,43 @@ _OTHERS = 0.5  # a trouble below this fraction of the largest at the same time m
 _AS_ALL = 2.5  # a jump is larger than the median over detectors of the largest step in the scan by this factor
 _FEWEST = 4  # samples before and after a jump
 _MARGIN = 1  # samples flagged before and after a glitch
-_OF_SOURCE = 5.0  # significance of the median of the samples at one place, from which on they see a source
-_AT_PLACE = 4  # fewest samples for that
+_OF_SOURCE = 5.0  # significance of the median over passes, from which on they see a source
+_PASSES = 3  # fewest passes for that
+_ROUNDS = 4  # of the search for jumps, each without the sources that the one before found
 _MEDIAN = 1.2533141373155003  # standard deviation of the median of normal deviates, over that of their mean
+
+
+@dataclass(frozen=True)
+class CleanedBlock:
+    """Cleaned time-streams to test.
+
+    Attributes
+    ----------
+    data_mk, lost : (n_det, n_samp)
+    bounds : (n_scan, 2)
+        Scans that cleaning keeps.
+    spared : (n_det, n_samp)
+        True for samples that are not tested.
+    place : (n_det, n_samp)
+        Pixel of each sample on a map with a few pixels a beam; -1 for none.
+    """
+
+    data_mk: np.ndarray
+    lost: np.ndarray
+    bounds: np.ndarray
+    spared: np.ndarray
+    place: np.ndarray
+
+    def used(self) -> np.ndarray:
+        """Flags (n_det, n_samp) of the samples within scans that are not lost."""
+        return (self.scan_of_sample() >= 0) & ~self.lost
+
+    def scan_of_sample(self) -> np.ndarray:
+        """Index (n_samp,) of the scan of each sample; -1 outside."""
+        found = np.full(self.data_mk.shape[1], -1)
+        for s, (start, stop) in enumerate(self.bounds):
+            found[start:stop] = s
+        return found
 
 
 def robust_scatter(values: np.ndarray, used: np.ndarray) -> np.ndarray:
@@ -25,88 +64,80 @@ def robust_scatter(values: np.ndarray, used: np.ndarray) -> np.ndarray:
     return found
 
 
-def find_jumps(
-    data_mk: np.ndarray, lost: np.ndarray, bounds: np.ndarray, *, window: int, n_sigma: float, spared: np.ndarray
-) -> dict[tuple[int, int], str]:
+def find_jumps(block: CleanedBlock, window: int, n_sigma: float) -> dict[tuple[int, int], str]:
     """Find detectors with a jump in a scan.
 
     The statistic is the difference of the means over `window` samples after and before a sample, or fewer up to the
     end of the scan, divided by its standard deviation for white noise of 1 mK. Its scatter over the scans is robust,
-    and contains slow noise. The difference of the medians must confirm a jump, which glitches and sources don't pass.
-
-    Parameters
-    ----------
-    data_mk, lost : (n_det, n_samp)
-    bounds : (n_scan, 2)
-    window
-    n_sigma
-    spared : (n_det, n_samp)
-        True for samples that are not tested.
+    and contains slow noise. The difference of the medians must confirm a jump, which glitches don't pass.
 
     Returns
     -------
     dict
         Height of the jump as a text, by detector and scan.
     """
-    from mapmaker.kernels.cleaned_tests import step_statistic
-
-    step = step_statistic(data_mk, lost, bounds, window, _FEWEST)
-    scatter = robust_scatter(step[:, :: max(1, window // 4)], step[:, :: max(1, window // 4)] != 0)
-    found: dict[tuple[int, int], str] = {}
-    for s, (start, stop) in enumerate(bounds):
-        size = np.where(spared[:, start:stop], 0, np.abs(step[:, start:stop]))
-        place, most = size.argmax(axis=1), size.max(axis=1)
-        normal = np.median(most[most > 0]) if most.any() else 0.0
-        large = (most > n_sigma * scatter) & (most > _AS_ALL * normal) & (most >= _OTHERS * most.max()) & (scatter > 0)
-        for d in np.flatnonzero(large):
-            height, least = _confirmed(data_mk[d, start:stop], lost[d, start:stop], int(place[d]), window)
-            if abs(height) > least:
-                found[int(d), s] = f"{height:+.3g} mK"
+    lost, scatter = block.lost, robust_scatter(block.data_mk, block.used())
+    for _ in range(_ROUNDS):
+        steps = _large_steps(block, lost, window, n_sigma)
+        near = np.zeros(lost.shape, bool)
+        for (d, s), place in steps.items():
+            start, stop = block.bounds[s]
+            near[d, max(start, place - window) : min(stop, place + window)] = True
+        of_sources = _at_sources(near & ~lost, block, scatter)
+        if not of_sources.any():
+            break
+        lost = lost | of_sources
+    found = {}
+    for (d, s), place in steps.items():
+        height = _confirmed(block, lost, (d, s), place, window)
+        if height:
+            found[d, s] = f"{height:+.3g} mK"
     return found
 
 
-def _confirmed(row: np.ndarray, lost: np.ndarray, place: int, window: int) -> tuple[float, float]:
-    """Difference of the medians after and before a place, and half of the difference of the means."""
-    sides = [slice(max(0, place - window), place), slice(place, place + window)]
-    values = [row[side][~lost[side]].astype(float) for side in sides]
-    height = np.median(values[1]) - np.median(values[0])
-    return float(height), 0.5 * abs(float(values[1].mean() - values[0].mean()))
+def _large_steps(block: CleanedBlock, lost: np.ndarray, window: int, n_sigma: float) -> dict[tuple[int, int], int]:
+    """Sample of the largest step, by detector and scan, where it is large enough for a jump."""
+    from mapmaker.kernels.cleaned_tests import step_statistic
+
+    step = step_statistic(block.data_mk, lost, block.bounds, window, _FEWEST)
+    some = step[:, :: max(1, window // 4)]
+    scatter = robust_scatter(some, some != 0)
+    found: dict[tuple[int, int], int] = {}
+    for s, (start, stop) in enumerate(block.bounds):
+        size = np.where(block.spared[:, start:stop], 0, np.abs(step[:, start:stop]))
+        most = size.max(axis=1)
+        normal = np.median(most[most > 0]) if most.any() else 0.0
+        large = (most > n_sigma * scatter) & (most > _AS_ALL * normal) & (most >= _OTHERS * most.max()) & (scatter > 0)
+        for d in np.flatnonzero(large):
+            found[int(d), s] = int(start + size[d].argmax())
+    return found
 
 
-def find_glitches(
-    data_mk: np.ndarray,
-    lost: np.ndarray,
-    bounds: np.ndarray,
-    *,
-    n_sigma: float,
-    spared: np.ndarray,
-    place: np.ndarray,
-) -> np.ndarray:
+def _confirmed(block: CleanedBlock, lost: np.ndarray, at: tuple[int, int], place: int, window: int) -> float:
+    """Difference of the medians after and before a place [mK]; 0 if it is below half of the difference of the means."""
+    d, s = at
+    start, stop = block.bounds[s]
+    sides = slice(max(start, place - window), place), slice(place, min(stop, place + window))
+    values = [block.data_mk[d, side][~lost[d, side]].astype(float) for side in sides]
+    if min(map(len, values)) < _FEWEST:
+        return 0.0
+    height = float(np.median(values[1]) - np.median(values[0]))
+    return height if abs(height) > 0.5 * abs(values[1].mean() - values[0].mean()) else 0.0
+
+
+def find_glitches(block: CleanedBlock, n_sigma: float) -> np.ndarray:
     """Find glitches: samples far from 0, with their neighbours.
-
-    Samples of one place on the sky whose median differs from 0 see a source: they are no glitches.
-
-    Parameters
-    ----------
-    data_mk, lost, bounds, spared
-        As for `find_jumps`.
-    n_sigma
-    place : (n_det, n_samp)
-        Pixel of each sample on a map with a few pixels a beam; -1 for none.
 
     Returns
     -------
     (n_det, n_samp) bool array
         Samples that are lost by this.
     """
-    inside = np.zeros(data_mk.shape[1], bool)
-    for start, stop in bounds:
-        inside[start:stop] = True
-    used = inside & ~lost
-    scatter = robust_scatter(data_mk, used)
-    size = np.where(used & ~spared, np.abs(data_mk), 0)
+    used = block.used()
+    scatter = robust_scatter(block.data_mk, used)
+    size = np.where(used & ~block.spared, np.abs(block.data_mk), 0)
     found = (size > n_sigma * scatter[:, None]) & (size >= _OTHERS * size.max(axis=0)) & (scatter[:, None] > 0)
-    found &= ~_of_sources(found, data_mk, used, scatter, place)
+    found &= ~_at_sources(found, block, scatter)
     grown = found.copy()
     for shift in range(1, _MARGIN + 1):
         grown[:, shift:] |= found[:, :-shift]
@@ -114,24 +145,26 @@ def find_glitches(
     return grown & used
 
 
-def _of_sources(
-    found: np.ndarray, data_mk: np.ndarray, used: np.ndarray, scatter: np.ndarray, place: np.ndarray
-) -> np.ndarray:
-    """Flags (n_det, n_samp) of the samples that are at the place of a source."""
-    pixels = np.unique(place[found])
-    pixels = pixels[pixels >= 0]
-    at_source = np.zeros(max(place.max(), 0) + 2, bool)  # the last one for places that are -1
-    if not len(pixels):
-        return at_source[place]
-    asked = at_source.copy()
-    asked[pixels] = True
-    detector, sample = np.nonzero(asked[place] & used & (scatter[:, None] > 0))
-    values, order = data_mk[detector, sample] / scatter[detector], np.argsort(place[detector, sample], kind="stable")
-    at, first = np.unique(place[detector, sample][order], return_index=True)
-    for pixel, group in zip(at, np.split(values[order], first[1:]), strict=True):
+def _at_sources(asked: np.ndarray, block: CleanedBlock, scatter: np.ndarray) -> np.ndarray:
+    """Flags (n_det, n_samp) of the used samples that see a source, at the places of the samples that are asked for."""
+    n_place = max(block.place.max(), 0) + 2  # the last one for places that are -1
+    at_source, of_interest = np.zeros((2, n_place), bool)
+    of_interest[block.place[asked]] = True
+    of_interest[-1] = False
+    if not of_interest.any():
+        return np.zeros(asked.shape, bool)
+    used = block.used()
+    detector, sample = np.nonzero(of_interest[block.place] & used & (scatter[:, None] > 0))
+    n_pass = len(scatter) * len(block.bounds)
+    of_pass = detector * len(block.bounds) + block.scan_of_sample()[sample]
+    keys, member = np.unique(block.place[detector, sample].astype(np.int64) * n_pass + of_pass, return_inverse=True)
+    total = np.bincount(member, block.data_mk[detector, sample] / scatter[detector])
+    value = total / np.sqrt(np.bincount(member))
+    places, first = np.unique(keys // n_pass, return_index=True)
+    for place, group in zip(places, np.split(value, first[1:]), strict=True):
         error = _MEDIAN / np.sqrt(len(group))
-        at_source[pixel] = len(group) >= _AT_PLACE and abs(np.median(group)) > _OF_SOURCE * error
-    return at_source[place]
+        at_source[place] = len(group) >= _PASSES and abs(np.median(group)) > _OF_SOURCE * error
+    return at_source[block.place] & used
 
 
 def white_noise(data_mk: np.ndarray, lost: np.ndarray, bounds: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from mapmaker.pipeline.config_errors import error_lines
 from mapmaker.pipeline.config_types import (
     Declination,
     Duration,
+    Frequency,
     Length,
     RightAscension,
     Section,
@@ -26,8 +27,51 @@ Kind = Literal["files", "time", "direction", "detectors"]
 Test = Literal["jumps", "glitches", "noise"]
 
 
+class IterativeSection(Section):
+    """Options of the maker "iterative"."""
+
+    threshold: number(above=0, most=1e6) = 5.0  # type: ignore[valid-type]
+    """Signal-to-noise ratio of the smoothed map above which a pixel is not cleaned."""
+    loss: number(least=0, most=0.99) = 0.2  # type: ignore[valid-type]
+    """After pass k, pixels below this to the power k of the brightest are cleaned, whatever their noise."""
+    tolerance: number(above=0, most=1) = 1e-3  # type: ignore[valid-type]
+    """Relative change of the signal at convergence."""
+    max_iterations: whole(1, 1000) = 20  # type: ignore[valid-type]
+    """Most passes over the files."""
+
+
+class DestripedSection(Section):
+    """Options of the maker "destriped"."""
+
+    baseline: Duration = 2.0
+    """Length of a baseline."""
+    tolerance: number(above=0, most=0.1) = 1e-5  # type: ignore[valid-type]
+    """Residual of the normal equations at convergence."""
+    max_iterations: whole(1, 10**5) = 300  # type: ignore[valid-type]
+    """Most iterations, each a pass over the files."""
+
+
+class MaximumLikelihoodSection(Section):
+    """Options of the maker "maximum_likelihood"."""
+
+    bands: Annotated[tuple[Frequency, ...], Field(strict=False, min_length=1)] = (0.1, 0.2, 0.4, 0.8, 1.6)
+    """Edges between the frequency bands in which the noise is measured."""
+    max_modes: whole(0, 1000) = 20  # type: ignore[valid-type]
+    """Most correlated modes in a band."""
+    tolerance: number(above=0, most=0.1) = 1e-5  # type: ignore[valid-type]
+    """Residual of the normal equations at convergence."""
+    max_iterations: whole(1, 10**5) = 300  # type: ignore[valid-type]
+    """Most iterations, each a pass over the files."""
+
+    @model_validator(mode="after")
+    def _increase(self) -> "MaximumLikelihoodSection":
+        if any(b <= a for a, b in zip(self.bands, self.bands[1:], strict=False)):
+            raise ValueError(f"bands: found {shown(list(self.bands))}; increasing frequencies are expected")
+        return self
+
+
 class MapSection(Section):
-    """The map: pixels, place, weights."""
+    """The map: pixels, place, map-maker, weights."""
 
     pixel: Length | None = None
     """Side of a pixel. Without it, a third of the beam of the first file."""
@@ -35,11 +79,19 @@ class MapSection(Section):
     """Right ascension and declination of the centre. Without it, the middle of all scans."""
     size: Annotated[tuple[Length, Length], Field(strict=False)] | None = None
     """Width and height. Without it, the map covers all scans."""
+    maker: Literal["binned", "iterative", "destriped", "maximum_likelihood"] = "binned"
+    """Map-maker, applied to the cleaned streams. All but "binned" pass over the files several times."""
     weights: Literal["detector", "file", "uniform"] = "detector"
-    """Weight of a sample: the inverse variance of the cleaned streams of its detector in its file, their mean in the
-    file, or 1."""
+    """Weight of a sample in binned and iterative maps: the inverse variance of the cleaned streams of its detector in
+    its file, the inverse of their mean variance in the file, or 1."""
     healpix_nside: whole(1, 2**20) | None = None  # type: ignore[valid-type]
     """With it, a HEALPix map is binned from the time-streams as well."""
+    iterative: IterativeSection = IterativeSection()
+    """Options of the maker."""
+    destriped: DestripedSection = DestripedSection()
+    """Options of the maker."""
+    maximum_likelihood: MaximumLikelihoodSection = MaximumLikelihoodSection()
+    """Options of the maker."""
 
     @field_validator("healpix_nside")
     @classmethod
@@ -47,6 +99,14 @@ class MapSection(Section):
         if value is not None and value & (value - 1):
             raise ValueError(f"found {value}; a power of two is expected")
         return value
+
+    @model_validator(mode="after")
+    def _healpix_is_binned(self) -> "MapSection":
+        if self.healpix_nside and self.maker in ("destriped", "maximum_likelihood"):
+            raise ValueError(
+                f'healpix_nside: found {self.healpix_nside} with maker = "{self.maker}"; no such key is expected'
+            )
+        return self
 
 
 class Circle(Section):
@@ -95,9 +155,17 @@ class JackknifeSection(Section):
     """Seed of the random divisions."""
 
 
+class InputSection(Section):
+    """The files."""
+
+    fwhm: Length | None = None
+    """Full width at half maximum of the beam, in place of that of the files. Some formats do not hold it."""
+
+
 class Config(Section):
     """All sections; each can be left out."""
 
+    input: InputSection = InputSection()
     map: MapSection = MapSection()
     cleaning: Annotated[tuple[CleaningStep, ...], Field(strict=False, min_length=1)] = (AverageStep(),)
     """Cleaning steps, in order."""

@@ -45,7 +45,10 @@ def _line(item: Any, model: type[BaseModel]) -> str:
     elif item["type"] == "union_tag_invalid":
         key, allowed = f"{key}.algorithm", item["ctx"]["expected_tags"].replace("'", '"')
         message = f"found {shown(item['ctx']['tag'])}; {allowed} are allowed"
-    elif item["type"] != "value_error":
+    elif item["type"] == "value_error":
+        if named := re.match(r"([a-z_]+): ", message):  # a check of a whole section names the key that it is about
+            key, message = f"{key}.{named[1]}".lstrip("."), message[named.end() :]
+    else:
         message = f"found {shown(item['input'])}; {_expected(item, message)}"
     return f"{key}: {message}" if key else message
 

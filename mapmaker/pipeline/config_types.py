@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
@@ -13,6 +14,13 @@ class Section(BaseModel):
     """Base of all sections: frozen, without unknown keys; the docstring of a field is its description."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, strict=True)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Name of a type for people, in the metadata of a field."""
+
+    text: str
 
 
 def shown(value: object) -> str:
@@ -66,10 +74,11 @@ def _converted(value: object, unit: str, example: str, parsed: Callable[[str], A
     return found
 
 
-Length = Annotated[float, quantity("rad", "20 arcsec", most=math.pi)]
-Duration = Annotated[float, quantity("s", "1 s")]
-RightAscension = Annotated[float, direction("right ascension", 720.0)]
-Declination = Annotated[float, direction("declination", 90.0)]
+Length = Annotated[float, quantity("rad", "20 arcsec", most=math.pi), Kind('angle, as `"20 arcsec"`')]
+Frequency = Annotated[float, quantity("Hz", "0.1 Hz"), Kind('frequency, as `"0.1 Hz"`')]
+Duration = Annotated[float, quantity("s", "1 s"), Kind('time, as `"1 s"`')]
+RightAscension = Annotated[float, direction("right ascension", 720.0), Kind('`"132.3 deg"` or `"8h49m12s"`')]
+Declination = Annotated[float, direction("declination", 90.0), Kind('`"44.84 deg"` or `"44d50m"`')]
 
 
 def _real(value: object) -> object:

@@ -10,7 +10,7 @@ from mapmaker.pipeline.config import MapSection
 from mapmaker.pipeline.usable import in_scans
 from mapmaker.timestreams import Timestreams
 
-MOST_PIXELS = 10**8  # of a map whose size is not stated
+MOST_PIXELS = 10**7  # of a map whose size is not stated: 2 GB with eight divisions
 _PIXELS_OF_BEAM = 3.0
 _EDGE = 1.01  # of the extent: distances in two tangent planes differ a little
 
@@ -78,7 +78,7 @@ def map_geometry(field: Field, section: MapSection) -> MapGeometry:
         n_x, n_y = (2 * fast_length(int(np.ceil(_EDGE * side / pixel)) + 1) for side in _half_sides(field, section))
         if n_x * n_y > MOST_PIXELS:
             raise OutOfRangeError(
-                f"found scans that need a map of {n_x} x {n_y} pixels; up to {MOST_PIXELS} are allowed without map.size"
+                f"found scans that need a map of {n_x} x {n_y} pixels; state map.centre and map.size to map a part"
             )
     return MapGeometry(*centre, pixel, n_x, n_y)
 

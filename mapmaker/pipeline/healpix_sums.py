@@ -9,7 +9,7 @@ from mapmaker.errors import OutOfRangeError
 from mapmaker.geometry import MapGeometry, north_angle, plane_directions, plane_offsets
 from mapmaker.pipeline.one_file import CleanedFile
 
-MOST_PIXELS = 10**8
+MOST_PIXELS = 5 * 10**7  # 1.6 GB
 
 
 class HealpixSums:
@@ -54,7 +54,7 @@ class HealpixSums:
         for d, slots in enumerate(self._slots(item, index)):
             row = slice(d, d + 1)
             sums = self.weighted_sum, self.weight, self.hits
-            add_weighted(item.streams.data_mk[row], slots[None], item.bounds, weight[row], *sums)
+            add_weighted(item.cleaned_mk[row], slots[None], item.bounds, weight[row], *sums)
 
     def _slots(self, item: CleanedFile, index: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the places in `pixels` (n_samp,) of the samples of each detector, -1 off the map."""

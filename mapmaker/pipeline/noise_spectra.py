@@ -6,7 +6,7 @@ import numpy as np
 
 from mapmaker.binning import BinnedMap
 from mapmaker.errors import InsufficientDataError
-from mapmaker.pipeline.sums import MapSums
+from mapmaker.pipeline.maps import Maps
 from mapmaker.spectrum import annuli, map_psd
 
 _BINS = 24  # most bins of multipole
@@ -44,14 +44,13 @@ class NoiseSpectra:
     coverage: np.ndarray
 
 
-def noise_spectra(sums: MapSums, fwhm_rad: float) -> NoiseSpectra | None:
+def noise_spectra(maps: Maps, fwhm_rad: float) -> NoiseSpectra | None:
     """PSDs of all noise maps; None without a division that has two halves, or for a map of too few pixels."""
-    geometry, item = sums.geometry, sums.map()
+    geometry, item = maps.map.geometry, maps.map
     whole, taper = item.weight[0], coverage_taper(item, fwhm_rad)
     even = float(np.sum(taper**2) / np.sum(taper**2 / np.where(whole > 0, whole, 1.0)))
     edges, found = _edges(taper, geometry.pixel_rad), {}
-    for number, split in enumerate(sums.splits):
-        item = sums.noise_map(number)
+    for split, item in zip(maps.splits, maps.noise, strict=True):
         weight = item.weight[0]
         # Pixels that one half lacks are left out.
         of_map = np.where(weight > 0, taper, 0.0)

@@ -1,15 +1,16 @@
 """Cleaning of one file: usable data, cleaning, tests of the cleaned streams, and weights."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from mapmaker.cleaning import Cleaned, clean_in_order
-from mapmaker.errors import InsufficientDataError
+from mapmaker.errors import ArgumentError, InsufficientDataError
 from mapmaker.files import one_line
 from mapmaker.geometry import MapGeometry, mean_direction, pixel_centres, pixel_indices, plane_offsets
 from mapmaker.lost_samples import fill_flagged
-from mapmaker.pipeline.cleaned_tests import find_glitches, find_jumps, mean_square, white_noise
+from mapmaker.pipeline.cleaned_tests import CleanedBlock, find_glitches, find_jumps, mean_square, white_noise
 from mapmaker.pipeline.config import Config, FlagSection
 from mapmaker.pipeline.dropped import (
     CLEANING,
@@ -25,12 +26,14 @@ from mapmaker.pipeline.dropped import (
     QUIET,
     SAMPLES,
     SCAN,
+    UNITS,
     Dropped,
 )
 from mapmaker.pipeline.usable import Usable, in_scans, leave_out, mostly_lost, usable_data, without_bad_scans
 from mapmaker.timestreams import Timestreams
 
 _MOST_PLACES = 10_000  # along a side of the map of places
+_RMS_MK = 1e-8, 1e8  # of cleaned streams: beyond it they are hardly in mK
 _CIRCLE = 101  # pixels across a spared circle
 
 
@@ -52,8 +55,9 @@ class CleanedFile:
     labels : (n_det,)
         Names of the detectors, or their numbers in the file.
     streams
-        Streams of the detectors that are used; flags are all lost samples. `data_mk` is cleaned, and 0 in discarded
-        scans.
+        Streams of the detectors that are used, with lost samples filled; flags are all lost samples.
+    cleaned_mk : (n_det, n_samp)
+        Cleaned streams.
     bounds : (n_scan, 2)
         Scans that are used.
     used : (n_det, n_scan) bool
@@ -68,6 +72,7 @@ class CleanedFile:
     name: str
     labels: np.ndarray
     streams: Timestreams
+    cleaned_mk: np.ndarray
     bounds: np.ndarray
     used: np.ndarray
     variance_mk2: np.ndarray
@@ -116,12 +121,24 @@ def _clean(streams: Timestreams, state: Usable, config: Config) -> Cleaned:
     live = state.live
     plane, lost = streams.focal_plane.subset(live), state.lost[live]
     filled = fill_flagged(streams.data_mk[live], state.bounds, lost)
-    steps = [(step.algorithm, step.options()) for step in config.cleaning]
+    try:
+        steps = cleaning_steps(streams, config)
+    except ArgumentError as error:  # a frequency beyond what the file has
+        raise _uncleanable(state, error) from None
     try:
         return clean_in_order(steps, filled, state.bounds, plane)
     except InsufficientDataError as error:
-        dropped = Dropped(state.name, FILE, CLEANING, detail=one_line(error))
-        raise UnusableFileError((*state.dropped, dropped)) from None
+        raise _uncleanable(state, error) from None
+
+
+def cleaning_steps(streams: Timestreams, config: Config) -> list[tuple[str, Any]]:
+    """Names and options of the cleaning steps; raises ValueError for a frequency beyond what the streams have."""
+    rate_hz = 1 / float(np.median(np.diff(streams.time_s)))
+    return [(step.algorithm, step.options(rate_hz)) for step in config.cleaning]
+
+
+def _uncleanable(state: Usable, error: Exception) -> UnusableFileError:
+    return UnusableFileError((*state.dropped, Dropped(state.name, FILE, CLEANING, detail=one_line(error))))
 
 
 def spared_samples(streams: Timestreams, flags: FlagSection) -> np.ndarray:
@@ -153,19 +170,12 @@ def _tested(
     (n_det, n_samp).
     """
     rows, after, glitches = np.flatnonzero(state.live), state, np.zeros(state.lost.shape, bool)
+    block = CleanedBlock(cleaned.data_mk, state.lost[rows], state.bounds[cleaned.kept], spared[rows], place[rows])
     if "jumps" in flags.find:
-        window = _window(streams, state.bounds, flags.jump_window)
-        after = _without_jumps(cleaned, after, rows, window=window, n_sigma=flags.jump_sigma, spared=spared[rows])
+        at = find_jumps(block, _window(streams, state.bounds, flags.jump_window), flags.jump_sigma)
+        after = _without_jumps(at, after, rows, np.flatnonzero(cleaned.kept))
     if "glitches" in flags.find:
-        bounds = state.bounds[cleaned.kept]
-        glitches[rows] = find_glitches(
-            cleaned.data_mk,
-            after.lost[rows],
-            bounds,
-            n_sigma=flags.glitch_sigma,
-            spared=spared[rows],
-            place=place[rows],
-        )
+        glitches[rows] = find_glitches(replace(block, lost=after.lost[rows]), flags.glitch_sigma)
         if glitches.any():
             after = replace(after, lost=after.lost | glitches)
             after = leave_out(after, mostly_lost(after.lost, after.bounds, flags.max_lost), MOST_LOST)
@@ -185,16 +195,11 @@ def _window(streams: Timestreams, bounds: np.ndarray, window_s: float) -> int:
     return max(4, round(max(window_s, 2 * float(np.median(crossings))) / step_s))
 
 
-def _without_jumps(
-    cleaned: Cleaned, state: Usable, rows: np.ndarray, *, window: int, n_sigma: float, spared: np.ndarray
-) -> Usable:
-    kept = np.flatnonzero(cleaned.kept)
-    at = find_jumps(
-        cleaned.data_mk, state.lost[rows], state.bounds[kept], window=window, n_sigma=n_sigma, spared=spared
-    )
+def _without_jumps(at: dict[tuple[int, int], str], state: Usable, rows: np.ndarray, scans: np.ndarray) -> Usable:
+    """Leave out detectors with jumps, which are given by the index of the row and of the scan."""
     if not at:
         return state
-    details = {(int(rows[d]), int(kept[s])): text for (d, s), text in at.items()}
+    details = {(int(rows[d]), int(scans[s])): text for (d, s), text in at.items()}
     bad = np.zeros(state.left_out.shape, bool)
     bad[tuple(np.array(list(details)).T)] = True
     return leave_out(state, bad, JUMP, details)
@@ -229,14 +234,20 @@ def _result(streams: Timestreams, state: Usable, cleaned: Cleaned, glitches: np.
     if not kept.any():
         raise UnusableFileError((*dropped, Dropped(state.name, FILE, NO_SCAN, detail="cleaning discarded all scans")))
     lost, bounds = state.lost[rows], state.bounds[kept]
-    some = replace(streams, data_mk=cleaned.data_mk, focal_plane=streams.focal_plane.subset(rows), flags=lost)
+    variance = mean_square(cleaned.data_mk, lost, bounds)
+    rms = float(np.sqrt(np.median(variance)))
+    if not _RMS_MK[0] <= rms <= _RMS_MK[1]:
+        raise UnusableFileError((*dropped, Dropped(state.name, FILE, UNITS, detail=f"{rms:.2g} mK")))
+    filled = fill_flagged(streams.data_mk[rows], bounds, lost)
+    some = replace(streams, data_mk=filled, focal_plane=streams.focal_plane.subset(rows), flags=lost)
     return CleanedFile(
         name=state.name,
         labels=state.labels[rows],
         streams=some,
+        cleaned_mk=cleaned.data_mk,
         bounds=bounds,
         used=~state.left_out[rows][:, kept],
-        variance_mk2=mean_square(cleaned.data_mk, lost, bounds),
+        variance_mk2=variance,
         white_mk=white_noise(cleaned.data_mk, lost, bounds),
         found=(len(state.labels), len(streams.scan_bounds)),
         dropped=tuple(dropped),

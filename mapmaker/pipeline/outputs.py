@@ -70,17 +70,20 @@ def _move(new: Path, directory: Path) -> None:
 def write_outputs(directory: Path, result: Result) -> None:
     """Write all files of a result."""
     header = {"NFILES": sum(item.used for item in result.files)}
-    write_fits(directory / "map.fits", result.sums.map(), header)
-    for number, split in enumerate(result.sums.splits):
-        item = result.sums.noise_map(number)
+    write_fits(directory / "map.fits", result.maps.map, header)
+    for split, item in zip(result.maps.splits, result.maps.noise, strict=True):
         if item.weight.any():
             write_fits(directory / "noise" / f"{split.name}.fits", item, header | {"SPLIT": split.name})
-    if result.sums.healpix is not None:
-        sums = result.sums.healpix
+    if result.maps.healpix is not None:
+        sums = result.maps.healpix
         seen = sums.hits > 0
         planes = {"weighted_sum": sums.weighted_sum[seen], "weight": sums.weight[seen], "hits": sums.hits[seen]}
         write_healpix_pixels(
-            directory / "healpix.fits", sums.nside, pixel=sums.pixels[seen], **planes, weight_unit=result.sums.unit
+            directory / "healpix.fits",
+            sums.nside,
+            pixel=sums.pixels[seen],
+            **planes,
+            weight_unit=result.maps.map.weight_unit,
         )
     write_tables(directory, result)
     with atomic_write(directory / "config.json") as partial:
@@ -91,7 +94,7 @@ def write_outputs(directory: Path, result: Result) -> None:
 def write_tables(directory: Path, result: Result) -> None:
     """Write the tables of what was left out, of files, of detectors, and of noise PSDs."""
     write_ecsv(directory / "dropped.ecsv", dropped_columns(result.dropped), {}, {})
-    of_weight = {"weight": "mK-2"} if result.sums.unit == INVERSE_VARIANCE_UNIT else {}
+    of_weight = {"weight": "mK-2"} if result.maps.map.weight_unit == INVERSE_VARIANCE_UNIT else {}
     write_ecsv(directory / "files.ecsv", _columns(result.files), of_weight, {})
     units = {"noise_mk": "mK", "white_mk": "mK"} | of_weight
     write_ecsv(directory / "detectors.ecsv", _columns(result.detectors), units, {})

@@ -40,7 +40,7 @@ def _page(result: Result, folder: Path) -> Page:
     if len(files) < len(result.files):
         lead.append("Files that could not be used are the first rows of the table of data that are left out.")
     sections = (
-        Section("map", "Map", (Text(_MAP_TEXT), *_map_pictures(result, folder))),
+        Section("map", "Map", (Text(_map_text(result)), *_map_pictures(result, folder))),
         Section("noise", "Noise", _noise_blocks(result, folder)),
         Section("left-out", "Data left out", (_reason_grid(result), _dropped_grid(result))),
         Section("files", "Files", (_file_grid(result),)),
@@ -49,14 +49,24 @@ def _page(result: Result, folder: Path) -> Page:
     return Page("Map of time-streams", f"Map of {len(files)} files", tuple(lead), _key_figures(result, share), sections)
 
 
-_MAP_TEXT = (
-    "The map is binned from the cleaned time-streams, in mK (Rayleigh-Jeans).",
-    "It is not corrected for the signal that cleaning removes: a source has less than its flux, and a negative ring.",
+_MAKERS = {
+    "binned": "The map is binned from the cleaned time-streams, in mK (Rayleigh-Jeans).",
+    "iterative": "The map is made iteratively, in mK (Rayleigh-Jeans): what is significant in it is not cleaned.",
+    "destriped": "The map is destriped, in mK (Rayleigh-Jeans): baselines are fitted together with it.",
+    "maximum_likelihood": "The map is that of maximum likelihood for the measured noise, in mK (Rayleigh-Jeans).",
+}
+_LOSS = (
+    "It is not corrected for the signal that cleaning removes: a source has less than its flux, and a negative ring."
 )
 
 
+def _map_text(result: Result) -> tuple[str, ...]:
+    lines = [_MAKERS[result.config.map.maker], _LOSS, result.maps.solution]
+    return tuple(line for line in lines if line)
+
+
 def _key_figures(result: Result, share: float) -> tuple[tuple[str, str], ...]:
-    geometry, spectra = result.sums.geometry, result.spectra
+    geometry, spectra = result.maps.map.geometry, result.spectra
     pixel = np.degrees(geometry.pixel_rad) * 3600
     found = [
         ("files in the map", f"{sum(item.used for item in result.files)} of {len(result.files)}"),
@@ -78,14 +88,13 @@ def _depth(psd_mk2: np.ndarray) -> float:
 def _map_pictures(result: Result, folder: Path) -> list[Picture]:
     from scipy.ndimage import gaussian_filter
 
-    item, geometry = result.sums.map(), result.sums.geometry
+    item, geometry = result.maps.map, result.maps.map.geometry
     weight, sigma = item.weight[0], result.fwhm_rad / np.sqrt(8 * np.log(2)) / geometry.pixel_rad
     # Sums and weights smoothed apart: noisy pixels count for less in their neighbours.
     total, spread = (gaussian_filter(plane, sigma) for plane in (item.weighted_sum[0], weight))
     seen = spread > spread.max() / _DEEPEST**2
     signal = np.where(seen, total / np.where(seen, spread, 1), np.nan)
-    noise_maps = [result.sums.noise_map(k) for k in range(len(result.sums.splits))]
-    noise_map = next((one for one in noise_maps if one.weight.any()), None)
+    noise_map = next((one for one in result.maps.noise if one.weight.any()), None)
     reach = float(np.nanpercentile(np.abs(signal), 99.8)) or 1.0
     hits = np.where(item.hits[0] > 0, item.hits[0], np.nan)
     images = [MapImage(signal, "Signal smoothed with the beam [mK]", "RdBu_r", -reach, reach)]
@@ -95,7 +104,7 @@ def _map_pictures(result: Result, folder: Path) -> list[Picture]:
         images.append(MapImage(noise, "Noise map smoothed with the beam [mK]", "RdBu_r", -reach, reach))
     draw_maps(folder / "map.png", geometry, images)
     counts = [MapImage(hits, "Samples a pixel", "cividis", 0.0, float(np.nanmax(hits)))]
-    if result.sums.unit == "mK-2":
+    if result.maps.map.weight_unit == "mK-2":
         noise = np.where(weight > 0, 1 / np.sqrt(np.where(weight > 0, weight, 1)), np.nan)
         lowest = float(np.nanmin(noise))
         counts.append(MapImage(noise, "Noise a pixel from the weights [mK]", "cividis_r", lowest, _DEEPEST * lowest))
@@ -127,7 +136,7 @@ def _noise_blocks(result: Result, folder: Path) -> tuple[Text | Picture | Grid, 
         for name, psd, error in zip(spectra.names, spectra.psd_mk2, errors, strict=True)
     ]
     draw_spectra(folder / "noise.png", curves)
-    kinds = {split.name: split.kind for split in result.sums.splits}
+    kinds = {split.name: split.kind for split in result.maps.splits}
     rows = tuple(
         (
             Cell(name.replace("_", " ")),
@@ -212,7 +221,7 @@ def _file_grid(result: Result) -> Grid:
         )
         for item in result.files
     )
-    noise = "noise a sample [mK]" if result.sums.unit == "mK-2" else "root of 1 / weight"
+    noise = "noise a sample [mK]" if result.maps.map.weight_unit == "mK-2" else "root of 1 / weight"
     columns = ("file", "in the map", "detectors", "scans", "samples [%]", noise)
     return Grid(
         "files-table",

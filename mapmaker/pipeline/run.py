@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from mapmaker.formats import read_timestreams
 from mapmaker.pipeline.config import Config
 from mapmaker.pipeline.dropped import FILE, OFF_MAP, UNREADABLE, Dropped
 from mapmaker.pipeline.field import Field, extended, map_geometry, stated_field
+from mapmaker.pipeline.makers import iterated_maps, solved_maps, with_noise
+from mapmaker.pipeline.mapped_file import FileStore, mapped_file
+from mapmaker.pipeline.maps import Maps
 from mapmaker.pipeline.noise_spectra import NoiseSpectra, noise_spectra
 from mapmaker.pipeline.one_file import CleanedFile, UnusableFileError, clean_file
 from mapmaker.pipeline.splits import make_splits
@@ -63,7 +67,7 @@ class Result:
     """Maps of all files, and what was left out of them."""
 
     config: Config
-    sums: MapSums
+    maps: Maps
     fwhm_rad: float
     spectra: NoiseSpectra | None
     files: tuple[FileRecord, ...]
@@ -71,10 +75,15 @@ class Result:
     dropped: tuple[Dropped, ...]
 
 
-Show = Callable[[str, int], None]  # told what is done, and the number of files that are finished
+Show = Callable[[str, int, int], None]  # told what is done, the number of files that are finished, and of all
 
 
-def clean_and_map(paths: Sequence[str | Path], config: Config, show: Show = lambda what, done: None) -> Result:
+def clean_and_map(
+    paths: Sequence[str | Path],
+    config: Config,
+    show: Show = lambda what, done, total: None,
+    scratch: str | Path | None = None,
+) -> Result:
     """Clean files of time-streams and map them.
 
     One file is in memory at a time. Files are read twice, unless the configuration states centre and size of the map.
@@ -85,6 +94,8 @@ def clean_and_map(paths: Sequence[str | Path], config: Config, show: Show = lamb
     config
     show
         Function that shows the progress.
+    scratch
+        Folder for temporary copies of the streams, which all makers but "binned" need.
 
     Raises
     ------
@@ -96,25 +107,40 @@ def clean_and_map(paths: Sequence[str | Path], config: Config, show: Show = lamb
     field = _field(paths, names, config, bad, show)
     geometry = map_geometry(field, config.map)
     good = [(path, name) for path, name in zip(paths, names, strict=True) if name not in bad]
-    splits = make_splits(config.jackknives, len(good))
+    splits = make_splits(config.jackknives, len(good), config.map.maker)
     sums = MapSums(geometry, splits, config.map.weights == "uniform", config.map.healpix_nside)
     files, detectors, dropped = {}, [], [item for items in bad.values() for item in items]
-    for number, (path, name) in enumerate(good):
-        try:
-            item = clean_file(name, read_timestreams(path), config)
-            weight = sample_weights(item, config.map.weights)
-            dropped += [*item.dropped, *sums.add(item, weight, (number, len(good)))]
-        except InputError as error:
-            dropped += _of_error(path, name, error)
-        else:
-            files[name] = _file_record(item, weight)
-            detectors += _detector_records(item, weight)
-        show("cleaning", number + 1)
-    if not sums.hits[0].any():
+    order: dict[str, int] = {}
+    with TemporaryDirectory(dir=scratch, prefix="streams.") as folder:
+        store = FileStore(folder)
+        for number, (path, name) in enumerate(good):
+            try:
+                item = clean_file(name, read_timestreams(path, fwhm_rad=config.input.fwhm), config)
+                weight = sample_weights(item, config.map.weights)
+                file = mapped_file(geometry, item, weight, splits, place=(number, len(good)), order=order)
+                file = with_noise(file, config)
+            except InputError as error:
+                dropped += _of_error(path, name, error)
+            else:
+                dropped += [*item.dropped, *file.off_map]
+                files[name] = _file_record(item, weight)
+                detectors += _detector_records(item, weight)
+                (sums if config.map.maker == "binned" else store).add(file)
+            show("cleaning", number + 1, len(good))
+        maps = _made(config, store, sums, show) if files else None
+    if maps is None or not maps.map.hits.any():
         raise _nothing_left(dropped)
     records = tuple(files.get(name, FileRecord(name, False)) for name in names)
-    spectra = noise_spectra(sums, field.fwhm_rad)
-    return Result(config, sums, field.fwhm_rad, spectra, records, tuple(detectors), tuple(dropped))
+    spectra = noise_spectra(maps, field.fwhm_rad)
+    return Result(config, maps, field.fwhm_rad, spectra, records, tuple(detectors), tuple(dropped))
+
+
+def _made(config: Config, store: FileStore, sums: MapSums, show: Show) -> Maps:
+    """Make the maps of the files in the sums, or in the store."""
+    if config.map.maker == "binned":
+        return sums.maps()
+    make = iterated_maps if config.map.maker == "iterative" else solved_maps
+    return make(store, sums, config, lambda passes: show("pass over the files", passes, 0))
 
 
 def _names(paths: Sequence[str | Path]) -> list[str]:
@@ -135,11 +161,11 @@ def _field(
     stated = config.map.centre and config.map.size
     for number, (path, name) in enumerate(zip(paths, names, strict=True)):
         try:
-            streams = read_timestreams(path)
+            streams = read_timestreams(path, fwhm_rad=config.input.fwhm)
             field = stated_field(streams, config.map) if stated else extended(field, streams, config.map)
         except InputError as error:
             bad[name] = _of_error(path, name, error)
-        show("reading", number + 1)
+        show("reading", number + 1, len(paths))
         if stated and field:
             break
     if field is None:

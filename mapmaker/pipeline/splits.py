@@ -31,10 +31,16 @@ class Split:
     first_files: frozenset[int] = frozenset()
 
 
-def make_splits(section: JackknifeSection, n_file: int) -> tuple[Split, ...]:
-    """Divisions that a configuration asks for; those by files need two files."""
+def make_splits(section: JackknifeSection, n_file: int, maker: str = "binned") -> tuple[Split, ...]:
+    """Divisions that a configuration asks for; those by files need two files.
+
+    Maximum likelihood weighs what detectors share, which a change of sign of half of them turns into something else:
+    it has no division by detectors.
+    """
     splits: list[Split] = []
     for kind in section.splits:
+        if kind == "detectors" and maker == "maximum_likelihood":
+            continue
         if kind == "files":
             halves = _halves_of_files(n_file, section.files, section.seed)
             splits += [Split(f"files_{k}", kind, half) for k, half in enumerate(halves, 1)]

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from mapmaker.binning import HITS_UNIT, INVERSE_VARIANCE_UNIT, BinnedMap, half_difference, map_shape
-from mapmaker.geometry import MapGeometry, pixel_indices
-from mapmaker.pipeline.dropped import OFF_MAP, SAMPLES, Dropped
+from mapmaker.geometry import MapGeometry
 from mapmaker.pipeline.healpix_sums import HealpixSums
-from mapmaker.pipeline.one_file import CleanedFile
-from mapmaker.pipeline.splits import Split, first_half
+from mapmaker.pipeline.mapped_file import MappedFile
+from mapmaker.pipeline.maps import Maps
+from mapmaker.pipeline.splits import Split
 
 
 class MapSums:
@@ -33,36 +33,22 @@ class MapSums:
         self.weighted_sum, self.weight = np.zeros((2, 1 + len(splits), n_pixel))
         self.hits = np.zeros((1 + len(splits), n_pixel), np.int64)
         self.healpix = None if nside is None else HealpixSums(geometry, nside)
-        self._order: dict[str, int] = {}  # of detectors, by name
 
-    def add(self, item: CleanedFile, weight: np.ndarray, place: tuple[int, int]) -> tuple[Dropped, ...]:
-        """Add a cleaned file; returns what is off the map.
-
-        Parameters
-        ----------
-        item
-        weight : (n_det,)
-            Weight of a sample.
-        place
-            Number of the file, and number of files.
-        """
+    def add(self, file: MappedFile) -> None:
+        """Add a file with its cleaned streams."""
         from mapmaker.kernels.weighted_sums import add_weighted
 
-        for label in item.labels:
-            self._order.setdefault(str(label), len(self._order))
-        index = pixel_indices(self.geometry, item.streams)
-        data, of_scans = item.streams.data_mk, np.where(item.used, weight[:, None], 0.0)
-        halves = [first_half(split, item, place, self._order) for split in self.splits]
-        for s, half in enumerate([np.ones_like(item.used), *halves]):
+        item = file.item
+        for s, half in enumerate([np.ones_like(item.used), *file.halves]):
             sums = self.weighted_sum[s], self.weight[s], self.hits[s]
-            add_weighted(data, index, item.bounds, np.where(half, of_scans, 0.0), *sums)
+            add_weighted(item.cleaned_mk, file.index, item.bounds, np.where(half, file.weight, 0.0), *sums)
         if self.healpix is not None:
-            self.healpix.add(item, index, of_scans)
-        missed = sum(
-            int(np.sum((index[:, a:b] < 0) & ~item.streams.flags[:, a:b] & used[:, None]))
-            for (a, b), used in zip(item.bounds, item.used.T, strict=True)
-        )
-        return (Dropped(item.name, SAMPLES, OFF_MAP, samples=missed),) if missed else ()
+            self.healpix.add(item, file.index, file.weight)
+
+    def maps(self, solution: str = "", converged: bool = True) -> Maps:
+        """Maps of the files added so far; the last two are those of `Maps`."""
+        noise = tuple(self.noise_map(k) for k in range(len(self.splits)))
+        return Maps(self.map(), self.splits, noise, self.healpix, solution, converged)
 
     def map(self) -> BinnedMap:
         """Map of all data."""

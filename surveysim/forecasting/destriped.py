@@ -8,20 +8,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from surveysim.forecasting.closed_forms import Noise, layers
 from surveysim.forecasting.fitted_modes import NO_FITTED_MODES
 from surveysim.forecasting.mode_response import Modes
 from surveysim.forecasting.noise_bins import MapBins, scan_frequencies
 from surveysim.forecasting.noise_model import map_bins, present_terms
 from surveysim.forecasting.observing_conditions import ObservingConditions, white_shapes
-from surveysim.forecasting.solved_maps import SolvedSums
+from surveysim.forecasting.solved_maps import ObservationNoise, SolvedSums
 from surveysim.forecasting.time_filters import ScanFilters, baseline_filter, no_filter, pipeline_filters
 from surveysim.forecasting.track_motions import track_motions
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.setup import Setup
 from surveysim.telescope.scans import samples_per_scan
 
+_DRAWS = 32  # observations at a time: their noise in all motions and modes is in memory
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class DestripedNoise:
     """Noise of the right-hand sides of a survey's observations, at each speed of the track.
 
@@ -33,17 +36,15 @@ class DestripedNoise:
         Noise variance a sample [mK^2].
     normal, signal : (n_speed, n_bin n_angle)
         Normal matrix and amplitude of the signal, for a weight of 1.
+    each
+        Noise of the right-hand side of each observation.
     """
 
     modes: Modes
     noise: np.ndarray
     normal: np.ndarray
     signal: np.ndarray
-
-    def of_bins(self, speed_share: np.ndarray) -> np.ndarray:
-        """Mean noise (n_obs, n_bin) of the right-hand sides, for weights (n_obs, n_speed) of the speeds."""
-        mean = np.einsum("os,osk->ok", speed_share, self.noise)
-        return np.array([self.modes.mean(row) for row in mean])
+    each: ObservationNoise
 
     def sums(self, weight: np.ndarray, share: np.ndarray) -> SolvedSums:
         """Add up observations with weights and fractions of kept samples (n_obs,)."""
@@ -61,16 +62,32 @@ def destriped_noise(
     pieces, nothing = baseline_filter(n_samp, length), no_filter(n_samp)
     cleaning = pipeline_filters(setup, pipeline) or ScanFilters(nothing, nothing, rate)
     after = cleaning.after.then(pieces.left, pieces.right, pieces.odd)
-    filters = ScanFilters(cleaning.before, after, rate)
-    bins = map_bins(setup, pipeline, conditions, white_shapes(setup), filters)
-    modes = bins[0].frequencies.modes
-    each = [_of_each_mode(item) for item in bins]
-    noise = [sum(term(item)(conditions) for term in present_terms(setup.scene)) for item in each]
-    alone = ScanFilters(nothing, pieces, rate)
-    normal = [_normal(setup, item, alone) for item in bins]
-    return DestripedNoise(
-        modes, np.stack(noise, axis=1), np.array(normal), np.array([i.signal_amplitude() for i in bins])
+    bins = map_bins(setup, pipeline, conditions, white_shapes(setup), ScanFilters(cleaning.before, after, rate))
+    modes, terms = bins[0].frequencies.modes, present_terms(setup.scene)
+    parts = {term: _of_all_draws([term(_of_each_mode(item)) for item in bins], conditions) for term in terms}
+    noise = np.sum(list(parts.values()), axis=0)
+    normal = np.array([_normal(setup, item, ScanFilters(nothing, pieces, rate)) for item in bins])
+    seen = ObservationNoise(
+        _of_bins(modes, noise, conditions),
+        _of_bins(modes, parts.get(layers, 0 * noise), conditions),
+        1 - modes.mean(normal.mean(axis=0)),
     )
+    return DestripedNoise(modes, noise, normal, np.array([item.signal_amplitude() for item in bins]), seen)
+
+
+def _of_all_draws(noise: list[Noise], conditions: ObservingConditions) -> np.ndarray:
+    """Noise (n_obs, n_speed, n_mode) of a term at each speed, some observations at a time."""
+    found = []
+    for first in range(0, len(conditions.sine), _DRAWS):
+        some = conditions.some(slice(first, first + _DRAWS))
+        found.append(np.stack([item(some) for item in noise], axis=1))
+    return np.concatenate(found)
+
+
+def _of_bins(modes: Modes, noise: np.ndarray, conditions: ObservingConditions) -> np.ndarray:
+    """Mean (n_obs, n_bin) over azimuth and speeds."""
+    mean = np.einsum("os,osk->ok", conditions.speed_share, noise)
+    return mean.reshape(len(mean), *modes.wave.shape) @ modes.share
 
 
 def _of_each_mode(of: MapBins) -> MapBins:

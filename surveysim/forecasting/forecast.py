@@ -19,7 +19,7 @@ from surveysim.forecasting.closed_forms import CLOSED_FORMS
 from surveysim.forecasting.coverage import mean_hits
 from surveysim.forecasting.map_makers import solved_map, why_not_solved
 from surveysim.forecasting.mode_response import PROJECTIONS
-from surveysim.forecasting.noise_model import NoiseModel, is_projection, survey_models
+from surveysim.forecasting.noise_model import NoiseModel, forecast_pipelines, is_projection, survey_models
 from surveysim.forecasting.observation_weights import expected_weights
 from surveysim.forecasting.observing_conditions import (
     ObservingConditions,
@@ -28,6 +28,7 @@ from surveysim.forecasting.observing_conditions import (
 )
 from surveysim.forecasting.pilot import KeptScans, predict_kept_scans
 from surveysim.forecasting.response_filters import CLOSED_STEPS
+from surveysim.forecasting.time_filters import has_few_modes
 from surveysim.forecasting.track_motions import track_motions
 from surveysim.forecasting.validity import EffectInputs, NeglectedEffect, neglected_effects
 from surveysim.reduction.analysis import AnalysisSetup
@@ -143,7 +144,7 @@ def forecast(setup: Setup, kept: dict[str, np.ndarray] | None = None) -> Forecas
     if kept is None:
         conditions = observing_conditions(setup, survey_draws(setup, 0, scene.observations))
         weight = expected_weights(setup.analysis, _nonzero_noise(setup.analysis, models[0], conditions))
-        scans = predict_kept_scans(setup, tuple(filter(is_projection, setup.analysis.pipelines)), conditions, weight)
+        scans = predict_kept_scans(setup, forecast_pipelines(setup), conditions, weight)
     else:
         conditions = observing_conditions(setup, survey_draws(setup, 0, len(next(iter(kept.values())))))
         scans = {name: KeptScans(share) for name, share in kept.items()}
@@ -174,6 +175,8 @@ def why_no_forecast(setup: Setup) -> str | None:
             return f"{step.section}: found a section without a closed form"
     if not is_projection(setup.analysis.pipelines[0]):
         return f"cleaning by {setup.analysis.pipelines[0].label} is no projection"
+    if not has_few_modes(setup, setup.analysis.pipelines[0]):
+        return f"cleaning by {setup.analysis.pipelines[0].label} has too many modes in scans of this length"
     return why_not_solved(setup)
 
 
@@ -194,10 +197,11 @@ def _scored(
     share = kept.share * sampled_share(scene, conditions.white + conditions.shared)
     if not share.any():
         raise NotForecastableError(f"{', '.join(scene.losses)}: found all samples lost; some are needed")
-    weight, signal = expected_weights(setup.analysis, noise), model.signal_psd
+    weight, signal, layer, taken = expected_weights(setup.analysis, noise), model.signal_psd, None, None
     if scene.map.solved:
         solved = solved_map(setup, model.pipeline, conditions, share)
         variance, weight = solved.noise_mk2 / scene.observations, solved.weight
+        noise, layer, taken = solved.each.noise, solved.each.layer, solved.each.taken
         signal = left_signal(
             setup.analysis.beams, setup.analysis.geometry, setup.sky.geometry, band, solved.transmission
         )
@@ -208,10 +212,9 @@ def _scored(
     score = band_power(
         psd, signal, rings.n_modes, band.selected, ell=rings.ell, edges_ell=rings.edges_ell, relative_error=0.0
     )
-    layer = model.layer_noise(conditions)
-    inputs = EffectInputs(
-        model.pipeline, model.n_det, conditions, kept, weight, noise, layer, score.weight, hits, track_motions(setup)
-    )
+    layer = model.layer_noise(conditions) if layer is None else layer
+    of_map = score.weight, hits, track_motions(setup), taken
+    inputs = EffectInputs(model.pipeline, model.n_det, conditions, kept, weight, noise, layer, *of_map)
     passed = signal / band.signal_psd
     found = neglected_effects(setup, inputs)
     return DataSetForecast(model.name, model.n_det, score, psd, signal, passed, weight, kept, found)

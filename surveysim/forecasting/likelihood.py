@@ -22,7 +22,7 @@ from surveysim.forecasting.mode_response import LayerWaves, Modes, ProjectedArra
 from surveysim.forecasting.noise_bins import MapBins
 from surveysim.forecasting.noise_model import map_bins
 from surveysim.forecasting.observing_conditions import Correlation, ObservingConditions, white_shapes
-from surveysim.forecasting.solved_maps import SolvedSums
+from surveysim.forecasting.solved_maps import ObservationNoise, SolvedSums
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.setup import Setup
 from surveysim.telescope.pixel_coherence import part_weights
@@ -104,30 +104,20 @@ class StreamNoise:
 
 def likelihood_sums(
     setup: Setup, pipeline: CleaningPipeline, conditions: ObservingConditions, share: np.ndarray, options: GlsOptions
-) -> tuple[Modes, SolvedSums, np.ndarray]:
-    """Add up the observations of a survey, with fractions of kept samples (n_obs,); a few represent all.
-
-    Returns
-    -------
-    modes, sums
-    noise : (n_obs, n_bin)
-        Noise variance a sample of each observation [mK^2].
-    """
+) -> tuple[Modes, SolvedSums, ObservationNoise]:
+    """Add up the observations of a survey, with fractions of kept samples (n_obs,); a few represent all."""
     bins = map_bins(setup, pipeline, conditions, white_shapes(setup), None)
-    modes, shape = bins[0].frequencies.modes, (len(bins), bins[0].frequencies.at_hz.size)
-    normal, added, signal = np.zeros((3, *shape))
-    noise = np.empty((len(share), len(modes.wave)))
+    modes, n_obs = bins[0].frequencies.modes, len(share)
+    total, each = np.zeros((5, len(bins), bins[0].frequencies.at_hz.size)), np.empty((2, n_obs, len(modes.wave)))
     for alike in _representatives(conditions):
-        draw, weight = int(alike[len(alike) // 2]), share[alike].sum() / len(share)
-        found = [_observation(setup, pipeline, of, conditions, draw, options) for of in bins]
-        for node, (of_node, *others) in enumerate(found):
-            normal[node] += weight * of_node
-            added[node] += weight * others[0]
-            signal[node] += weight * others[1]
-        of_track = conditions.speed_share[draw] @ np.array([item[0] for item in found])
-        noise[alike] = setup.observing.scans.sample_rate_hz / modes.mean(of_track)
-    sums = SolvedSums(*(item.reshape(-1, *modes.wave.shape) for item in (normal, added, signal)))
-    return modes, sums, noise
+        draw = int(alike[len(alike) // 2])
+        found = np.stack([_observation(setup, pipeline, of, conditions, draw, options) for of in bins], axis=1)
+        total += share[alike].sum() / n_obs * found
+        normal, noise, layer = (modes.mean(conditions.speed_share[draw] @ item) for item in found[[0, 1, 3]])
+        each[:, alike] = np.array([noise, layer])[:, None] / normal**2
+    normal, noise, signal, _, fitted = (item.reshape(-1, *modes.wave.shape) for item in total)
+    taken = modes.mean(fitted.mean(axis=0).ravel()) / modes.mean(normal.mean(axis=0).ravel())
+    return modes, SolvedSums(normal, noise, signal), ObservationNoise(each[0], each[1], taken)
 
 
 def _representatives(conditions: ObservingConditions) -> list[np.ndarray]:
@@ -143,8 +133,11 @@ def _observation(
     conditions: ObservingConditions,
     draw: int,
     options: GlsOptions,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Normal matrix, noise [mK^2 a sample] and signal (n_mode,) of an observation."""
+) -> np.ndarray:
+    """Normal matrix, noise, signal, the layers' part of the noise, and the part of the normal matrix (5, n_mode).
+
+    That part is the one that the modes of the noise model, which are measured on the same streams, take of it.
+    """
     spectrum, camera = of.frequencies, setup.camera
     array = projected_array(
         camera.focal_plane.subset(pipeline.rows),
@@ -156,14 +149,18 @@ def _observation(
     noise = _stream_noise(of, array, conditions, draw)
     steering, n_det = array.phases(spectrum.modes.wave.ravel()), len(array.place)
     project = array.cleaned(np.eye(n_det))
-    normal, added, signal = (np.zeros(spectrum.at_hz.size) for _ in range(3))
+    normal, added, signal, of_layers, fitted = total = np.zeros((5, spectrum.at_hz.size))
     n_scans = setup.observing.scans.n_scans
     for band in noise_bands(setup.observing.scans, options.band_edges_hz):
         inside = band.holds(spectrum.nodes_hz)
         through = _through(of, spectrum.nodes_hz[inside], spectrum.weight_hz[inside])
-        weighed = _weight(project @ noise.mean(band) @ project.T, band.n_mode * n_scans, options) @ steering
+        n_vector = band.n_mode * n_scans
+        weight, n_fitted = _weight(project @ noise.mean(band) @ project.T, n_vector, options)
+        weighed = weight @ steering
         response = project.T @ weighed
-        normal += through * _product(steering, weighed)
+        seen_weight = through * _product(steering, weighed)
+        normal += seen_weight
+        fitted += seen_weight * n_fitted / n_vector
         signal += through * _product(response, array.responsivity[:, None] * steering)
         added += through * _product(response, noise.white @ response)
         inside = band.holds(noise.lines_hz)
@@ -173,9 +170,11 @@ def _observation(
             inside = band.holds(at_hz)
             amplitude = response.conj().T @ seen[:, inside]
             leak = spectrum.apodization.at(spectrum.at_hz[:, None] - at_hz[inside]) ** 2
-            added += ((amplitude.real**2 + amplitude.imag**2) * leak) @ variance[inside]
+            of_layers += ((amplitude.real**2 + amplitude.imag**2) * leak) @ variance[inside]
+    added += of_layers
     rate = setup.observing.scans.sample_rate_hz
-    return normal / n_det, rate * added / n_det, signal / array.responsivity.sum()
+    scale = np.array([1 / n_det, rate / n_det, 1 / array.responsivity.sum(), rate / n_det, 1 / n_det])
+    return total * scale[:, None]
 
 
 def _product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -232,8 +231,8 @@ def _layers(
                 yield stream_frequencies(waves, motion) + shift, power * part / len(motions), seen
 
 
-def _weight(covariance: np.ndarray, n_vector: int, options: GlsOptions) -> np.ndarray:
-    """Inverse noise (n_det, n_det) of a band, modelled as in `mapmaker.gls` on `n_vector` cosine modes."""
+def _weight(covariance: np.ndarray, n_vector: int, options: GlsOptions) -> tuple[np.ndarray, int]:
+    """Inverse noise (n_det, n_det) of a band, modelled as in `mapmaker.gls` on `n_vector` cosine modes; its modes."""
     scale = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     values, vectors = values[::-1], vectors[:, ::-1]
@@ -245,4 +244,4 @@ def _weight(covariance: np.ndarray, n_vector: int, options: GlsOptions) -> np.nd
             break
     modes = vectors[:, :count] * np.sqrt(values[:count])
     level = np.diag(covariance) * (1 - np.sum(modes**2, axis=1))
-    return np.linalg.inv(np.diag(level) + np.outer(scale, scale) * (modes @ modes.T))
+    return np.linalg.inv(np.diag(level) + np.outer(scale, scale) * (modes @ modes.T)), count

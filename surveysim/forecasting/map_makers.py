@@ -9,7 +9,7 @@ from surveysim.forecasting.destriped import destriped_noise
 from surveysim.forecasting.likelihood import COMPONENTS, MOST_DETECTORS, STEPS, likelihood_sums
 from surveysim.forecasting.observation_weights import expected_weights
 from surveysim.forecasting.observing_conditions import ObservingConditions
-from surveysim.forecasting.solved_maps import solved_bins
+from surveysim.forecasting.solved_maps import ObservationNoise, solved_bins
 from surveysim.forecasting.track_motions import track_motions
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.noise_weights import baseline_samples, noise_options
@@ -30,11 +30,14 @@ class SolvedMapNoise:
         Transfer function of scans, cleaning and map-maker.
     weight : (n_obs,)
         Inverse noise variance of the observations [1/mK^2].
+    each
+        Noise of each observation.
     """
 
     noise_mk2: np.ndarray
     transmission: np.ndarray
     weight: np.ndarray
+    each: ObservationNoise
 
 
 def solved_map(
@@ -44,11 +47,11 @@ def solved_map(
     tracks = track_motions(setup)
     if setup.scene.map.maker == "destriped":
         found = destriped_noise(setup, pipeline, conditions, baseline_samples(setup))
-        weight = expected_weights(setup.analysis, found.of_bins(conditions.speed_share))
-        return SolvedMapNoise(*solved_bins(found.modes, found.sums(weight, share), tracks), weight)
+        weight = expected_weights(setup.analysis, found.each.noise)
+        return SolvedMapNoise(*solved_bins(found.modes, found.sums(weight, share), tracks), weight, found.each)
     options = noise_options(setup.scene.map)
-    modes, sums, noise = likelihood_sums(setup, pipeline, conditions, share, options)
-    return SolvedMapNoise(*solved_bins(modes, sums, tracks), expected_weights(setup.analysis, noise))
+    modes, sums, each = likelihood_sums(setup, pipeline, conditions, share, options)
+    return SolvedMapNoise(*solved_bins(modes, sums, tracks), expected_weights(setup.analysis, each.noise), each)
 
 
 def why_not_solved(setup: Setup) -> str | None:

@@ -38,7 +38,7 @@ from surveysim.forecasting.observing_conditions import (
     white_shapes,
 )
 from surveysim.forecasting.response_filters import gain_variance, stream_filters
-from surveysim.forecasting.time_filters import ScanFilters, pipeline_filters
+from surveysim.forecasting.time_filters import ScanFilters, has_few_modes, pipeline_filters
 from surveysim.forecasting.track_motions import track_motions
 from surveysim.forecasting.turned_modes import turned_power
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
@@ -108,7 +108,7 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
     """
     scene, region = setup.scene, setup.analysis.region
     shapes = white_shapes(setup)
-    for pipeline in filter(is_projection, setup.analysis.pipelines):
+    for pipeline in forecast_pipelines(setup):
         bins = map_bins(setup, pipeline, conditions, shapes, pipeline_filters(setup, pipeline))
         transmission = _transmission(setup, bins) * conditions.gain.mean() ** 2
         signal = left_signal(setup.analysis.beams, setup.analysis.geometry, setup.sky.geometry, region, transmission)
@@ -172,6 +172,11 @@ def _track_mean(parts: list[Noise]) -> Noise:
         return np.sum([weight * part(conditions) for weight, part in zip(share, parts, strict=True)], axis=0)
 
     return parts[0] if len(parts) == 1 else mean
+
+
+def forecast_pipelines(setup: Setup) -> tuple[CleaningPipeline, ...]:
+    """Pipelines that have a forecast."""
+    return tuple(item for item in setup.analysis.pipelines if is_projection(item) and has_few_modes(setup, item))
 
 
 def is_projection(pipeline: CleaningPipeline) -> bool:

@@ -6,7 +6,7 @@ random shifts (Roberts 2018); the scatter over the shifts is their error.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from itertools import chain
 from typing import NamedTuple
@@ -96,6 +96,16 @@ class ObservingConditions:
     winds_rad_s: np.ndarray
     load_k: np.ndarray
     gain: np.ndarray
+
+    def some(self, draws: slice) -> "ObservingConditions":
+        """Select draws."""
+        by_layer = {name: getattr(self, name)[:, draws] for name in ("layers", "winds_rad_s")}
+        motions = tuple(item[draws] for item in self.motions)
+        others = {item.name: getattr(self, item.name)[draws] for item in fields(self) if item.name not in _BY_LAYER}
+        return ObservingConditions(**others, **by_layer, motions=motions)
+
+
+_BY_LAYER = ("layers", "winds_rad_s", "motions")
 
 
 class _ObservationGeometry(NamedTuple):

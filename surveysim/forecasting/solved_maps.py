@@ -40,6 +40,23 @@ class SolvedSums:
     signal: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class ObservationNoise:
+    """Noise of the single observations of a survey, averaged over azimuth and speeds.
+
+    Attributes
+    ----------
+    noise, layer : (n_obs, n_bin)
+        Noise variance a sample, and the layers' part of it [mK^2].
+    taken : (n_bin,)
+        Fraction of the weight of the modes that baselines, or the modes of a measured noise model, take.
+    """
+
+    noise: np.ndarray
+    layer: np.ndarray
+    taken: np.ndarray
+
+
 def solved_bins(modes: Modes, sums: SolvedSums, tracks: TrackMotions) -> tuple[np.ndarray, np.ndarray]:
     """Noise variance a sample [mK^2] and transfer function of the map, (n_bin,) each."""
     noise, signal = np.zeros(modes.wave.shape), np.zeros(modes.wave.shape)

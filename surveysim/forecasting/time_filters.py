@@ -20,8 +20,9 @@ from functools import cached_property
 import numpy as np
 
 from mapmaker.cleaning import TIME_FILTERS
-from mapmaker.cleaning.time_filters import TimeModes, time_modes
+from mapmaker.cleaning.time_filters import TimeModes, count_time_modes, time_modes
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline, filter_options
+from surveysim.reduction.filter_checks import MOST_ELEMENTS
 from surveysim.reduction.setup import Setup
 from surveysim.telescope.scans import samples_per_scan
 
@@ -120,6 +121,14 @@ class ScanFilters:
         """Times (n_samp,) of the samples from the middle of a scan."""
         n_samp = len(self.before.left)
         return (np.arange(n_samp) - (n_samp - 1) / 2) / self.sample_rate_hz
+
+
+def has_few_modes(setup: Setup, pipeline: CleaningPipeline) -> bool:
+    """Tell whether the modes of a pipeline's filters fit in memory: those of a high-pass of long scans do not."""
+    n_samp, rate_hz = samples_per_scan(setup.observing.scans), setup.observing.scans.sample_rate_hz
+    names = [name for name in pipeline.steps if name in TIME_FILTERS]
+    counts = [count_time_modes(filter_options(setup.scene.cleaning, name, rate_hz), n_samp) for name in names]
+    return sum(counts) * n_samp <= MOST_ELEMENTS
 
 
 def pipeline_filters(setup: Setup, pipeline: CleaningPipeline) -> ScanFilters | None:

@@ -5,11 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapmaker.cleaning import TIME_FILTERS
 from surveysim.forecasting.mode_response import PROJECTIONS
 from surveysim.forecasting.observing_conditions import ObservingConditions
 from surveysim.forecasting.pilot import KeptScans
 from surveysim.forecasting.track_motions import TrackMotions
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
+from surveysim.reduction.map_noise import weighs_itself
 from surveysim.reduction.scored_region import ScoredRegion
 from surveysim.reduction.setup import Setup
 from surveysim.scene.scene import Scene
@@ -21,6 +23,7 @@ LARGE = 0.1  # relative size above which an effect is flagged
 MOST_TEMPLATES = 0.25  # templates a detector above which they are flagged
 MOST_LOST = 0.3  # fraction of lost samples above which they are flagged
 MOST_UNEVEN = 0.25  # excess noise above which uneven coverage is flagged
+MOST_TAKEN = 0.5  # weight that a solved map loses above which it is flagged
 _RESOLUTIONS = 3.0  # of `resolution_ell`: lower end of compared multipoles
 _BEAM_LEFT = 0.03  # power in the beam: upper end of compared multipoles
 _PIXEL_REACH = 0.75  # of the map pixel's Nyquist multipole
@@ -29,6 +32,10 @@ _PIXEL_REACH = 0.75  # of the map pixel's Nyquist multipole
 _STRIPES = 0.33
 _SCATTERED = 0.07  # least fraction of the mean noise of all multipoles that is scattered to each
 _APPROXIMATE = {"wind": "shifted along the wind", "pca": "by principal components"}  # taken as average subtraction
+_OF_CHUNKS = (
+    "Filters in time are those of a chunk whose middle crosses the middle of the patch; others lose more at their ends,"
+    " by about a tenth of sigma(A)."
+)
 
 
 @dataclass(frozen=True)
@@ -74,6 +81,8 @@ class EffectInputs:
         Mean hits of an observation on the scored patch.
     tracks
         Velocities and curvature along the tracks of the boresight.
+    taken : (n_bin,), optional
+        Fraction of the weight that a solved map gives to baselines or to a measured noise model; None for binned maps.
     """
 
     pipeline: CleaningPipeline
@@ -86,6 +95,7 @@ class EffectInputs:
     share: np.ndarray
     hits: np.ndarray
     tracks: TrackMotions
+    taken: np.ndarray | None = None
 
     @property
     def co_added(self) -> np.ndarray:
@@ -136,9 +146,9 @@ def neglected_effects(setup: Setup, inputs: EffectInputs) -> tuple[NeglectedEffe
 def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEffect]:
     if inputs.pipeline.takes_responsivities:
         yield _discarded(inputs.kept)
-    if setup.scene.map.solved:
-        yield _map_maker(setup, inputs)
-    elif setup.scene.turbulent:
+    if inputs.taken is not None:
+        yield _map_maker(setup.scene.map.maker, float(inputs.taken @ inputs.share))
+    if setup.scene.turbulent:
         yield _repeated_layer(setup, inputs)
         if inputs.pipeline.spatial_step != "none":
             if inputs.tracks.straight:
@@ -154,9 +164,12 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
     if templates := len(PROJECTIONS[inputs.pipeline.spatial_step]):
         yield _few_detectors(templates, inputs.n_det)
     if not inputs.tracks.straight:
+        if not set(inputs.pipeline.steps).isdisjoint(TIME_FILTERS):
+            yield NeglectedEffect("filters", None, _OF_CHUNKS, True)
         yield _curvature(setup.analysis.region, inputs)
     yield _uneven_coverage(setup.analysis.region, inputs.hits)
-    yield _weights(setup.analysis.region, inputs)
+    if not weighs_itself(setup.scene.map):
+        yield _weights(setup.analysis.region, inputs)
     yield _low_multipoles(setup, inputs.share)
 
 
@@ -173,9 +186,13 @@ def _discarded(kept: KeptScans) -> NeglectedEffect:
     return NeglectedEffect("discarded scans", share, sentence, share > MOST_DISCARDED)
 
 
-def _map_maker(setup: Setup, inputs: EffectInputs) -> NeglectedEffect:
-    sentence = "TODO"
-    return NeglectedEffect("map-maker", None, sentence, False)
+def _map_maker(maker: str, size: float) -> NeglectedEffect:
+    """Fraction of the weight of the scored modes that baselines, or the modes of a measured noise model, take."""
+    if maker == "destriped":
+        sentence = "Baselines couple modes, which the forecast takes as independent, and"
+    else:
+        sentence = "The noise model is measured on the streams that it weighs: its modes"
+    return NeglectedEffect("map-maker", size, f"{sentence} take {_percent(size)} of the weight.", size > MOST_TAKEN)
 
 
 def _return_s(setup: Setup, tracks: TrackMotions) -> float:

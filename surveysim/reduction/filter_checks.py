@@ -3,12 +3,13 @@
 import numpy as np
 
 from mapmaker.cleaning import TIME_FILTERS
-from mapmaker.cleaning.time_filters import TimeFilterOptions, time_modes
+from mapmaker.cleaning.time_filters import HighpassOptions, TimeFilterOptions, highpass_response, time_modes
 from surveysim.reduction.cleaning_pipelines import filter_options
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import Scene
 
 MOST_NOTCH_CYCLES = 500  # widths of all notches times the length of a scan: modes of more take seconds
+MOST_ELEMENTS = 3e7  # of the modes of filters: 240 MB
 
 
 def check_time_filters(scene: Scene, n_samp: int) -> None:
@@ -40,8 +41,9 @@ def _check_notches(scene: Scene, n_samp: int) -> None:
                 " half of scan.sample_rate, is expected"
             )
     cycles, n_notch = sum(section.notch_widths_hz) * n_samp / rate, len(section.notch_widths_hz)
-    if cycles > MOST_NOTCH_CYCLES or 4 * (cycles + 2 * n_notch) > n_samp:
-        most = max(0.0, min(MOST_NOTCH_CYCLES, n_samp / 4 - 2 * n_notch) * rate / n_samp)
+    most_cycles = min(MOST_NOTCH_CYCLES, n_samp / 4 - 2 * n_notch, MOST_ELEMENTS / n_samp / 4 - 2 * n_notch)
+    if cycles > most_cycles:
+        most = max(0.0, most_cycles * rate / n_samp)
         raise SceneError(
             f"cleaning.notch_widths: found {sum(section.notch_widths_hz):g} Hz in {n_notch} bands; {most:.3g} Hz or"
             f" less in all is expected for scans of {n_samp} samples"
@@ -61,6 +63,9 @@ def filtered_share(scene: Scene, n_samp: int, above_hz: float) -> float:
 
 def _lost_share(options: TimeFilterOptions, n_samp: int, high: np.ndarray) -> float:
     """Share of the power of white noise in some bins (n_freq,) of a Fourier transform that a filter removes."""
+    if isinstance(options, HighpassOptions):
+        of_cosines = np.arange(n_samp) / 2 > np.flatnonzero(high)[0] - 0.5 if high.any() else np.zeros(n_samp, bool)
+        return float(np.mean(1 - highpass_response(options, n_samp)[of_cosines] ** 2)) if of_cosines.any() else 0.0
     found = time_modes(options, n_samp)
     power = np.abs(np.fft.rfft(found.modes, axis=0)) ** 2
     inside = power[high].sum(axis=0) / power.sum(axis=0)

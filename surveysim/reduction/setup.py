@@ -39,6 +39,7 @@ from surveysim.reduction.scored_region import padded_side, patch_side
 from surveysim.reduction.signal_sims import carriers
 from surveysim.reduction.sky_checks import check_contents
 from surveysim.reduction.splits import SurveySplits, survey_splits
+from surveysim.reduction.splits import check_bins as check_split_bins
 from surveysim.runtime.errors import InputError, OutOfRangeError, SceneError
 from surveysim.scene.bands import errors_of
 from surveysim.scene.scene import Scene
@@ -220,6 +221,7 @@ def _prepare(scene: Scene) -> Setup:
         masked = mask_by_separation(cam.positions_f_lambda, scene.score.mask_separation_f_lambda)
         check_masked(scene, masked)
     check_score(scene, geometry, scans)
+    check_split_bins(scene, geometry)
     check_healpix(scene)
     check_excess(scene)
     check_response(scene)

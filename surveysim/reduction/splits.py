@@ -10,7 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapmaker.geometry import MapGeometry
 from mapmaker.timestreams import FocalPlane
+from surveysim.reduction.scored_region import padded_side
 from surveysim.runtime.errors import SceneError
 from surveysim.runtime.numbers import plural
 from surveysim.scene.scene import Scene
@@ -93,6 +95,18 @@ class SurveySplits:
             sense = (first_scan + np.arange(n_scans)) % 2
             return [(all_rows, sense == part) for part in (0, 1)]
         return [(self.half[rows] == part, all_scans) for part in (0, 1)]
+
+
+def check_bins(scene: Scene, geometry: MapGeometry) -> None:
+    """Raise SceneError for bins narrower than the modes of the patch, some of which would be without one."""
+    if scene.spectra is None:
+        return
+    step = 2 * np.pi / (padded_side(scene.score.size_rad, geometry) * geometry.pixel_rad) * (1 - 1e-9)
+    if scene.spectra.ell_bin < step:
+        raise SceneError(
+            f"spectra.ell_bin: found {scene.spectra.ell_bin}; {np.ceil(step):.0f} or more is expected, the distance of"
+            " the modes of the scored patch"
+        )
 
 
 def survey_splits(

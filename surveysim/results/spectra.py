@@ -15,7 +15,7 @@ from surveysim.runtime.table import Column, Table, column, file_column, quoted_c
 from surveysim.scene.spectra import NIGHT
 from surveysim.survey.split_spectra import SplitSpectrum, SurveySpectra
 
-Content = Mapping[str, Any]  # entry `spectra` of summary.json
+Content = Mapping[str, Any]  # entry `split_spectra` of summary.json
 MOST_UNSEEN = 0.01  # of the patch
 SUSPECT = 1e-3  # probability to exceed, below which a test has failed
 _MEASURED = "power_uk2", "monte_carlo_error_uk2"
@@ -34,7 +34,7 @@ _BIAS = "noise_bias_uk2", "noise_bias_error_uk2"
 
 
 def spectra_entry(setup: Setup, spectra: SurveySpectra, done: int) -> dict[str, Any]:
-    """Return the entry `spectra` of summary.json, `done` being the number of simulated observations."""
+    """Return the entry `split_spectra` of summary.json, `done` being the number of simulated observations."""
     splits = setup.analysis.splits
     return {
         "reported": spectra.reported.split.name,
@@ -45,7 +45,7 @@ def spectra_entry(setup: Setup, spectra: SurveySpectra, done: int) -> dict[str, 
 
 
 def _bins(spectra: SurveySpectra) -> Iterator[dict[str, Any]]:
-    """Reported band powers, a row for each scored bin."""
+    """Reported band powers, a row for each bin."""
     item = spectra.reported
     powers, relative = item.powers, spectra.transfer_error / spectra.transfer
     columns = {
@@ -61,7 +61,8 @@ def _bins(spectra: SurveySpectra) -> Iterator[dict[str, Any]]:
         "noise_bias_error_uk2": item.bias_error_uk2,
     }
     columns |= {} if spectra.input_uk2 is None else {"input_uk2": spectra.input_uk2}
-    for place in np.flatnonzero(spectra.scored):
+    columns |= {} if spectra.sky_uk2 is None else {"sky_uk2": spectra.sky_uk2}
+    for place in range(len(powers.ell)):
         yield known({name: float(values[place]) for name, values in columns.items()})
 
 
@@ -87,7 +88,7 @@ def _test(begin: str, found: ChiSquared) -> dict[str, Any]:
 
 def spectra_warnings(spectra: SurveySpectra) -> list[str]:
     """Warn of few observations and realizations, and of parts with holes in their maps."""
-    found = list(spectra.reported.monte_carlo.flags)
+    found = [*spectra.reported.powers.flags, *spectra.reported.monte_carlo.flags]
     tests = {name: item.null.chi_squared for name, item in spectra.splits.items()}
     found += [
         f"the null test of the split {name!r} fails, with a probability to exceed of {test.pte:.2g}"
@@ -120,8 +121,8 @@ def band_power_table(entry: Content) -> Table:
         column("transfer_function_error_uk2", of["transfer_function_error_uk2"], "of transfer", number, unit="uK2"),
         *quoted_columns(_BIAS, of[_BIAS[0]], of[_BIAS[1]], "noise bias", unit="uK2"),
     ]
-    if "input_uk2" in of:
-        columns.append(column("input_uk2", of["input_uk2"], "input", number, unit="uK2"))
+    headings = {"input_uk2": "spectrum", "sky_uk2": "this sky"}
+    columns += [column(name, of[name], heading, number, unit="uK2") for name, heading in headings.items() if name in of]
     return Table("band_power", f"Band powers from the split {entry['reported']!r}", tuple(columns))
 
 
@@ -170,12 +171,11 @@ def split_spectra_table(spectra: SurveySpectra, meta: Content) -> Table:
         file_column("ell_high", first.ell_high),
         file_column("ell", first.ell),
         file_column("n_modes", first.n_modes),
-        file_column("scored", spectra.scored),
         file_column("transfer_function", spectra.transfer),
         file_column("transfer_function_error", spectra.transfer_error),
     ]
-    if spectra.input_uk2 is not None:
-        columns.append(file_column("input", spectra.input_uk2, "uK2"))
+    for name, values in (("input", spectra.input_uk2), ("sky", spectra.sky_uk2)):
+        columns += [] if values is None else [file_column(name, values, "uK2")]
     for name, item in spectra.splits.items():
         columns += [
             file_column(f"power_{name}", item.powers.power_uk2, "uK2"),

@@ -82,7 +82,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
     if result.sky:
         content["sky"] = sky_entry(result.sky)
     if result.spectra:
-        content["spectra"] = spectra_entry(setup, result.spectra, coadds.done)
+        content["split_spectra"] = spectra_entry(setup, result.spectra, coadds.done)
     content["closure"] = [vars(item) for item in closure_tests(setup, coadds, result.scores, result.expected)]
     content["run"] = {
         "date": now(),

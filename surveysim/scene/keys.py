@@ -210,7 +210,11 @@ def _default(item: Mapping[str, Any], required: bool) -> str:
         return "**required**"
     if item["default"] in (None, []):
         return "none"
-    return f"`{item['default']:g} {item['unit']}`" if "unit" in item else f"`{json.dumps(item['default'])}`"
+    if "unit" not in item:
+        return f"`{json.dumps(item['default'])}`"
+    if isinstance(item["default"], list):
+        return f"`[{', '.join(f'{value:g}' for value in item['default'])}] {item['unit']}`"
+    return f"`{item['default']:g} {item['unit']}`"
 
 
 # ---------------------------------------------------------------- examples

@@ -70,7 +70,7 @@ class MapSection(Section):
     """Map-maker of the cleaned streams: "binned" averages them, "destriped" and "maximum_likelihood" solve for the map
     with offsets or measured noise spectra, "iterative" restores the bright sources that cleaning removes."""
     destriped: Destriped | None = None
-    """Required by the maker "destriped"."""
+    """Required by the maker "destriped"; other makers ignore it, so that a sweep over makers can have it."""
     maximum_likelihood: MaximumLikelihood | None = None
     """Options of the maker "maximum_likelihood"."""
     iterative: Iterative | None = None
@@ -99,10 +99,7 @@ class MapSection(Section):
         return self.iterative or Iterative()
 
     @model_validator(mode="after")
-    def _options_are_of_the_maker(self) -> Self:
-        for name in (*SOLVED, "iterative"):
-            if name != self.maker and getattr(self, name) is not None:
-                raise ValueError(f"{name}: found with the maker {self.maker!r}; maker = {name!r} is expected with it")
+    def _baseline_is_given(self) -> Self:
         if self.maker == "destriped" and self.destriped is None:
             raise ValueError("destriped: missing; the maker 'destriped' needs it, with its key 'baseline'")
         return self

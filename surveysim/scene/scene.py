@@ -162,7 +162,7 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
             raise ValueError(f"at least one of {', '.join(names)} and {last} is expected")
         self.scan.check_observations(self.observations, self.schedule is not None)
         if self.spectra:
-            self.spectra.check(self.score, self.scan)
+            self.spectra.check(self.score, self.scan, self.map.maker)
         return self
 
     def _readout_fits(self) -> None:

@@ -41,10 +41,12 @@ class Spectra(Section):
             raise ValueError(f"parts: {found}")
         return self
 
-    def check(self, score: Score | None, scan: ScanSection) -> None:
-        """Raise ValueError for split maps without a scored patch, and for scans without senses."""
+    def check(self, score: Score | None, scan: ScanSection, maker: str) -> None:
+        """Raise ValueError for split maps without a scored patch or by other map-makers, and scans without senses."""
         if score is None:
             raise ValueError("spectra: found without [score], whose patch and multipoles it takes")
+        if maker != "binned":
+            raise ValueError(f"spectra: found with map.maker = {maker!r}; 'binned' is expected for split maps")
         if score.ell_max < score.ell_min + self.ell_bin:
             most = score.ell_max - score.ell_min
             raise ValueError(

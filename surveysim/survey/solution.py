@@ -204,6 +204,6 @@ def _solve(
 
     section = setup.scene.map.solver
     options = SolveOptions(section.tolerance, section.max_iterations)
-    found = solve_normal(apply, right.reshape(len(right), -1), diagonal.ravel(), options=options)
+    found = solve_normal(apply, right.reshape(len(right), -1), diagonal, options=options)
     convergence = Convergence(name, found.iterations, float(found.residual.max()), bool(found.converged.all()))
     return found.sky_mk.reshape(right.shape) * diagonal, convergence

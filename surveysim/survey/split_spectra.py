@@ -16,10 +16,11 @@ from mapmaker.cross_spectra import (
 )
 from mapmaker.flat_spectra import flat_coupling
 from mapmaker.mode_coupling import ModeCoupling
-from mapmaker.null_tests import ChiSquared, NullTest, chi_squared, null_power
+from mapmaker.null_tests import ChiSquared, NullTest, chi_squared, null_power, null_test
 from mapmaker.spectrum import annuli, map_psd, mode_ell
 from mapmaker.transfer_function import TransferFunction, measure_transfer_function, mode_pixel_window
 from surveysim.reduction.cleaning_pipelines import ACTUAL
+from surveysim.reduction.input_map import input_map
 from surveysim.reduction.setup import Setup
 from surveysim.reduction.splits import Split
 from surveysim.runtime.errors import InsufficientDataError
@@ -79,20 +80,20 @@ class SurveySpectra:
     ----------
     splits
         By name, in the order of the scene.
-    scored : (n_bin,) bool
-        Bins within the scored range that have a band power.
     transfer : (n_bin,)
         Power transfer function of scans and cleaning.
     transfer_error : (n_bin,)
     input_uk2 : (n_bin,), optional
         Expected band powers of the simulated sky; None where it is no spectrum.
+    sky_uk2 : (n_bin,), optional
+        Band powers of the simulated sky itself, with its sample variance; None without a sky.
     """
 
     splits: dict[str, SplitSpectrum]
-    scored: np.ndarray
     transfer: np.ndarray
     transfer_error: np.ndarray
     input_uk2: np.ndarray | None
+    sky_uk2: np.ndarray | None
 
     @property
     def reported(self) -> SplitSpectrum:
@@ -107,7 +108,6 @@ class _Measure:
     setup: Setup
     coupling: ModeCoupling
     transfer: TransferFunction
-    scored: np.ndarray
     spectrum: Spectrum | None
 
 
@@ -123,13 +123,13 @@ def survey_spectra(setup: Setup, coadds: CoAdds) -> SurveySpectra:
     splits = {split.name: _split_spectrum(measure, coadds, split) for split in setup.analysis.splits.splits}
     transfer = measure.transfer
     expected = _expected(measure)
-    return SurveySpectra(splits, measure.scored, transfer.transmission, transfer.error, expected)
+    return SurveySpectra(splits, transfer.transmission, transfer.error, expected, _sky(measure))
 
 
 def bin_edges(setup: Setup) -> np.ndarray:
-    """Edges (n_bin + 1,) of the multipole bins: from the lowest score in steps, and down towards 0."""
-    score, step = setup.scene.score, setup.scene.spectra.ell_bin
-    return np.arange(score.ell_min % step, score.ell_max + 1, step).astype(float)
+    """Edges (n_bin + 1,) of the multipole bins, all within the scored range."""
+    score = setup.scene.score
+    return np.arange(score.ell_min, score.ell_max + 1, setup.scene.spectra.ell_bin).astype(float)
 
 
 def _measure(setup: Setup, coadds: CoAdds) -> _Measure:
@@ -153,8 +153,7 @@ def _measure(setup: Setup, coadds: CoAdds) -> _Measure:
         sky_shape=(sky.n_y, sky.n_x),
         cells_per_pixel=round(pixel / sky.pixel_rad),
     )
-    scored = coupling.usable & (edges[:-1] >= setup.scene.score.ell_min)
-    return _Measure(setup, coupling, transfer, scored, _input_spectrum(setup))
+    return _Measure(setup, coupling, transfer, _input_spectrum(setup))
 
 
 def _input_spectrum(setup: Setup) -> Spectrum | None:
@@ -171,6 +170,16 @@ def _expected(measure: _Measure) -> np.ndarray | None:
     return measure.coupling.windows @ measure.spectrum(measure.coupling.window_ell)
 
 
+def _sky(measure: _Measure) -> np.ndarray | None:
+    """Band powers (n_bin,) of the simulated sky, from its map without noise, scans and cleaning."""
+    analysis = measure.setup.analysis
+    if analysis.own_sky is None:
+        return None
+    to_ukcmb = 1e3 * analysis.scene.instrument.cmb_per_rj
+    sky = analysis.region.pad(input_map(analysis, analysis.signal_skies_mk[analysis.own_sky])) * to_ukcmb
+    return measure.coupling.decouple(measure.coupling.field.pseudo_power(sky) * measure.transfer.transmission)
+
+
 def _split_spectrum(measure: _Measure, coadds: CoAdds, split: Split) -> SplitSpectrum:
     analysis, coupling = measure.setup.analysis, measure.coupling
     expected = _expected(measure)
@@ -185,7 +194,7 @@ def _split_spectrum(measure: _Measure, coadds: CoAdds, split: Split) -> SplitSpe
     fit = None
     if expected is not None:
         residual = powers.power_uk2 - expected - bias * shared
-        fit = chi_squared(residual, _with_transfer(measure, monte_carlo, expected), mask=measure.scored)
+        fit = chi_squared(residual, _with_transfer(measure, monte_carlo, expected))
     null, independent = _null(measure, coadds, split)
     return SplitSpectrum(split, powers, monte_carlo, bias, bias_error, fit, null, independent, float(each.unseen.max()))
 
@@ -212,19 +221,12 @@ def _with_transfer(measure: _Measure, covariance: Covariance, power_uk2: np.ndar
 def _null(measure: _Measure, coadds: CoAdds, split: Split) -> tuple[NullTest, float]:
     """Compare the power of the difference of parts with that of its noise.
 
-    The realizations, with a power correlated by r, scatter less than the noise by 1 - r. The sky is removed from them,
-    so they are not correlated with the difference itself.
+    The sky is removed from the realizations, so they are not correlated with the difference itself.
     """
     both = part_maps(measure.setup.analysis, coadds, split, [slice(0, None, 2), slice(1, None, 2)])
     pad = measure.setup.analysis.region.pad
-    realized = null_power(pad(both.noise_uk), measure.coupling)
-    excess = null_power(pad(both.maps_uk), measure.coupling) - realized.mean(axis=0)
-    covariance, common = monte_carlo_covariance(realized), both.common
-    factor = (1 + common + (1 - common) / len(realized)) / (1 - common)
-    covariance = replace(covariance, matrix_uk4=covariance.matrix_uk4 * factor)
-    return NullTest(
-        excess, covariance.error_uk2, chi_squared(excess, covariance, mask=measure.scored)
-    ), both.independent
+    power, realized = (null_power(pad(maps), measure.coupling) for maps in (both.maps_uk, both.noise_uk))
+    return null_test(power, realized, measure.coupling, common=both.common), both.independent
 
 
 def _measured_spectrum(powers: BandPowers) -> Spectrum:

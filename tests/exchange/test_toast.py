@@ -51,8 +51,8 @@ def sights_of(toast, data):
     return np.array([toast.qarray.rotate(obs.detdata["quats"][name], [0, 0, 1.0]) for name in obs.local_detectors])
 
 
-def filtered_and_binned(toast, data, geometry, folder):
-    """TOAST's map [mK] and hits, on the pixels of a geometry, of scans without their mean."""
+def filtered_and_binned(toast, data, geometry, folder, order):
+    """TOAST's map [mK] and hits, on the pixels of a geometry, of scans without polynomials in time up to an order."""
     from astropy import units as u
 
     pixel = np.degrees(geometry.pixel_rad) * u.deg
@@ -69,7 +69,7 @@ def filtered_and_binned(toast, data, geometry, folder):
     toast.ops.FilterBin(
         name="made",
         binning=toast.ops.BinMap(pixel_pointing=pixels, stokes_weights=weights, pixel_dist="pixels"),
-        poly_filter_order=0,
+        poly_filter_order=order,
         poly_filter_view="scanning",
         hwp_angle=None,
         write_map=False,
@@ -87,10 +87,10 @@ def filtered_and_binned(toast, data, geometry, folder):
     return sky * 1e3, hits
 
 
-def our_map(made, geometry):
-    bounds = made.scan_bounds
-    data = made.data_mk.astype(float)
-    cleaned = mm.clean("none", data, bounds, made.focal_plane, options=None)
+def our_map(made, geometry, order):
+    bounds, data = made.scan_bounds, made.data_mk.astype(float)
+    algorithm = ("time_polynomial", mm.TimePolynomialOptions(order)) if order else ("none", None)
+    cleaned = mm.clean(algorithm[0], data, bounds, made.focal_plane, options=algorithm[1])
     return mm.bin_map(geometry, cleaned.data_mk, mm.pixel_indices(geometry, made), bounds, kept=cleaned.kept)
 
 
@@ -131,14 +131,15 @@ def test_polarization_angles_are_those_of_toast(toast, tmp_path):
         assert abs(np.sin(found - expected)).max() < 1.5 * offset * np.tan(0.91) + offset**2
 
 
-def test_maps_of_our_streams(toast, tmp_path):
+@pytest.mark.parametrize("order", [0, 3])
+def test_maps_of_our_streams(toast, tmp_path, order):
     made = streams()
     mm.write_timestreams(tmp_path / "ours.toast.h5", made)
     geometry = mm.covering_geometry(
         *mm.mean_direction(made.ra_rad, made.dec_rad), np.radians(20 / 3600), np.radians(0.6)
     )
-    theirs = filtered_and_binned(toast, loaded(toast, tmp_path / "ours.toast.h5"), geometry, tmp_path)
-    assert same_map(our_map(made, geometry), *theirs) > 500
+    theirs = filtered_and_binned(toast, loaded(toast, tmp_path / "ours.toast.h5"), geometry, tmp_path, order)
+    assert same_map(our_map(made, geometry, order), *theirs) > 500
 
 
 @pytest.fixture(scope="module")
@@ -187,7 +188,8 @@ def test_we_read_what_toast_writes(toast, observed):
     assert made.focal_plane.fwhm_rad == pytest.approx(np.radians(10 / 60))
 
 
-def test_maps_of_streams_of_toast(toast, observed, tmp_path):
+@pytest.mark.parametrize("order", [0, 3])
+def test_maps_of_streams_of_toast(toast, observed, tmp_path, order):
     """Without lost samples, which both leave out of the map, and TOAST also of the mean."""
     data = loaded(toast, observed)
     data.obs[0].detdata["flags"].data[:] = 0
@@ -195,7 +197,8 @@ def test_maps_of_streams_of_toast(toast, observed, tmp_path):
     made = mm.read_timestreams(path)
     assert made.flags is None or not made.flags[:, made.scan >= 0].any()
     geometry = mm.covering_geometry(*mm.mean_direction(made.ra_rad, made.dec_rad), np.radians(2 / 60), np.radians(4))
-    assert same_map(our_map(made, geometry), *filtered_and_binned(toast, data, geometry, tmp_path)) > 1000
+    theirs = filtered_and_binned(toast, data, geometry, tmp_path, order)
+    assert same_map(our_map(made, geometry, order), *theirs) > 1000
 
 
 def test_files_of_toast_and_of_ours_are_equal(toast, observed, tmp_path):

@@ -68,8 +68,8 @@ def run_page(directory: Path, summary: Content, scene: Content) -> Page:
         sections.append(Section("scores", "Scores", tuple(score_blocks(summary, scene))))
     if "sky" in summary:
         sections.append(Section("sky", "Sky in and out", sky_blocks(summary["sky"])))
-    if "spectra" in summary:
-        sections.append(Section("spectra", "Band powers and null tests", spectra_blocks(summary["spectra"])))
+    if "split_spectra" in summary:
+        sections.append(Section("spectra", "Band powers and null tests", spectra_blocks(summary["split_spectra"])))
     sections.append(discarded_section(summary, scene))
     title = "Error against run time" if summary["scores"] else "Run time"
     sections.append(Section("time", title, (*time_blocks(summary, scene), *timing)))

@@ -61,10 +61,10 @@ def print_result(result: SurveyResult, directory: Path, verbose: bool = False) -
                 console.say(line)
     if "sky" in content:
         _print_sky(console, content["sky"])
-    if "spectra" in content:
-        show_table(console, band_power_table(content["spectra"]))
-        show_table(console, split_table(content["spectra"]))
-        for line in split_sentences(content["spectra"]):
+    if "split_spectra" in content:
+        show_table(console, band_power_table(content["split_spectra"]))
+        show_table(console, split_table(content["split_spectra"]))
+        for line in split_sentences(content["split_spectra"]):
             console.say(f"  {line}")
     if result.unscored:
         console.say(f"Not scored: {result.unscored}")

@@ -219,7 +219,7 @@ def test_full_disk(call, scene, monkeypatch):
 
 
 def test_failure_in_an_observation(call, scene, monkeypatch):
-    def fail(*arguments):
+    def fail(*arguments, **options):
         raise OutOfRangeError("no strip\nis long enough")
 
     monkeypatch.setattr(survey, "observe", fail)
@@ -232,11 +232,11 @@ def test_a_fault_of_numpy_leaves_finished_work_to_resume(call, scene, monkeypatc
     """The line says it, beside where the details are."""
     observe, done, out = survey.observe, [], scene.parent / "out"
 
-    def fail_third(*arguments):
+    def fail_third(*arguments, **options):
         done.append(arguments)
         if len(done) == 3:
             raise fault
-        return observe(*arguments)
+        return observe(*arguments, **options)
 
     monkeypatch.setattr(survey, "observe", fail_third)
     code, _, error = call("run", scene, "--out", out, "--workers", 1, "--quiet")

@@ -332,9 +332,10 @@ TABLE = [
       "mask": [np.ones(2), np.zeros(2, bool), [True], "ab"]}),
     (mm.null_power, {"pair_uk": SKIES[:2], "coupling": COUPLING},
      {"pair_uk": [SKIES, SKIES[0], SKIES[:2, :-1], changed(SKIES[:2], (0, 0, 0), np.nan), "ab", None]}),
-    (mm.null_test, {"power_uk2": np.ones(2), "realized_uk2": REALIZED},
-     {"power_uk2": [np.ones(3), np.full(2, np.nan), "ab", None], "realized_uk2": [REALIZED[:1], REALIZED[0], None],
-      "mask": [np.ones(2), np.zeros(2, bool), [True]]}),
+    (mm.null_test, {"power": np.ones(2), "realized": REALIZED**2, "coupling": COUPLING},
+     {"power": [np.ones(3), np.full(2, np.nan), np.zeros(2), "ab", None],
+      "realized": [REALIZED[:1] ** 2, REALIZED[0] ** 2, REALIZED, None],
+      "mask": [np.ones(2), np.zeros(2, bool), [True]], "common": [*wrong_numbers(least=0), 1.0]}),
 ]  # fmt: skip
 CASES = [
     pytest.param(function, right, name, list(values), id=f"{row}-{function.__name__}-{name}")

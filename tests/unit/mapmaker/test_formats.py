@@ -97,6 +97,23 @@ def test_names_and_order_of_pixels(tmp_path):
     assert not (tmp_path / "two.toast.h5").exists()
 
 
+def test_tables_are_those_of_minkasi(file_of):
+    """Rows detector by detector, radians, kelvins, and lost samples by their uncertainty, as its reader takes them."""
+    with fits.open(file_of("mustang2")) as file:
+        raw = file[1].data
+        detectors = np.unique(raw["PIXID"])
+        cut = {
+            name: np.reshape(raw[name], (len(detectors), -1)) for name in ("DX", "DY", "TIME", "FNU", "UFNU", "PIXID")
+        }
+    np.testing.assert_array_equal(cut["PIXID"][:, 0], detectors)
+    np.testing.assert_array_equal(cut["TIME"][0], MADE.time_s)
+    np.testing.assert_allclose(cut["FNU"] * 1e3, MADE.data_mk, rtol=1e-15)
+    np.testing.assert_array_equal(cut["UFNU"] < 9e5, ~MADE.flags)
+    ra, dec = cut["DX"], cut["DY"]
+    found = np.moveaxis([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], 0, -1)
+    assert apart(found, sights(MADE)) < 1e-4 * ARCSEC
+
+
 @pytest.mark.parametrize("format", SUFFIXES)
 def test_one_detector_one_scan_and_no_scan(tmp_path, format):
     with warnings.catch_warnings(action="ignore"):

@@ -3,10 +3,18 @@
 import numpy as np
 import pytest
 
+from mapmaker.destriping import BaselineWeight
 from mapmaker.geometry import MapGeometry
 from mapmaker.gls import GlsOptions, NoiseModel, band_slices, gls_map, measure_noise
 from mapmaker.iterative import StreamBlock
-from mapmaker.normal_equations import SolveOptions
+from mapmaker.normal_equations import (
+    NormalBlock,
+    SolveOptions,
+    add_diagonal,
+    add_right_side,
+    normal_matrix,
+    solve_normal,
+)
 from mapmaker.timestreams import FocalPlane
 from tests import naive
 
@@ -237,3 +245,55 @@ def test_a_band_without_modes():
 def test_options_out_of_range(values):
     with pytest.raises(ValueError, match=f"{next(iter(values))}: found .* expected"):
         GlsOptions(**values)
+
+
+def linear_map(item):
+    """Map (12, n_det n_samp) of every sample alone, less its mean over the map."""
+    units = np.eye(item.index.size).reshape(-1, *item.index.shape)
+    right, weight, hits = np.zeros((len(units), 12)), np.zeros(12), np.zeros(12, np.int64)
+    add_right_side(item, units, right)
+    add_diagonal(item, weight, hits)
+    found = solve_normal(
+        normal_matrix(lambda: [item], np.float64), right, weight.reshape(3, 4), options=SolveOptions(1e-12)
+    )
+    assert found.converged.all()
+    return (found.sky_mk - found.sky_mk.mean(axis=1, keepdims=True)).T
+
+
+def test_no_unbiased_linear_map_has_less_noise():
+    """Covariance (P^T N^-1 P)^-1 with the true N (Gauss and Markov); other makers exceed it in every direction."""
+    rng = np.random.default_rng(13)
+    index = rng.integers(0, 12, (5, 48)).astype(np.int32)
+    bounds = np.arange(4)[:, None] * 12 + [0, 12]
+    noise = model(rng)
+    inverse, covariance = np.zeros((5, 48, 5, 48)), np.zeros((5, 48, 5, 48))
+    for start, stop in bounds:
+        one = dense_inverse(noise, 12)
+        inverse[:, start:stop, :, start:stop] = one.reshape(5, 12, 5, 12)
+        # The means of scans have no weight in any of these maps: any variance of theirs does.
+        covariance[:, start:stop, :, start:stop] = np.linalg.pinv(one, rcond=1e-10, hermitian=True).reshape(
+            5, 12, 5, 12
+        )
+    inverse, covariance = inverse.reshape(240, 240), covariance.reshape(240, 240)
+    pointing = naive.pointing_matrix(index, 12)
+    flat = np.eye(12) - 1 / 12
+    best = linear_map(NormalBlock(index, bounds, noise))
+    least = best @ covariance @ best.T
+    expected = flat @ np.linalg.pinv(pointing.T @ inverse @ pointing, rcond=1e-10, hermitian=True) @ flat
+    np.testing.assert_allclose(least, expected, atol=1e-9)
+    np.testing.assert_allclose(best @ pointing, flat, atol=1e-9)
+    for other in (BaselineWeight(np.ones(5), 6), BaselineWeight(np.ones(5), 12), model(rng)):
+        maker = linear_map(NormalBlock(index, bounds, other))
+        np.testing.assert_allclose(maker @ pointing, flat, atol=1e-9)
+        excess = np.linalg.eigvalsh(maker @ covariance @ maker.T - least)
+        assert excess[0] > -1e-9 and excess[-1] > 0.1
+
+
+def test_a_sky_without_noise_comes_back():
+    """Whatever the noise model, if no sample is off the map."""
+    rng = np.random.default_rng(14)
+    index = rng.integers(0, 12, (6, 60)).astype(np.int32)
+    sky = rng.standard_normal(12)
+    bounds = np.arange(4)[:, None] * 15 + [0, 15]
+    found = mapped(StreamBlock(sky[index], index, bounds, plane(6))).map.signal_mk.ravel()
+    np.testing.assert_allclose(found - found.mean(), sky - sky.mean(), atol=1e-8)

@@ -111,6 +111,14 @@ def test_narrow_bins_are_flagged(taper):
     assert flat_coupling(taper, PIXEL, edges_ell=np.arange(2000.0, 12001, 2500), beam=BEAM).flags == ()
 
 
+def test_coupling_without_inverse():
+    padded = np.pad(tukey_taper(12, 12, PIXEL, size_rad=12 * PIXEL, edge_fraction=1.0), (0, 180))
+    with pytest.raises(
+        InsufficientDataError, match="coupling of bins 120 wide has no inverse: wider bins are expected"
+    ):
+        flat_coupling(padded, PIXEL, edges_ell=np.arange(1000.0, 12000, 120), beam=BEAM)
+
+
 def test_resolution_of_a_box():
     """Power of a box (n, n) in modes of 2 pi / n."""
     box = np.pad(np.ones((20, 20)), 12)

@@ -60,7 +60,7 @@ def test_band_powers_are_read_with_the_same_bits(tmp_path, coupling, noise):
 
 def test_null_tests_are_read(tmp_path, coupling, noise):
     powers = cross_band_powers(noise[0], coupling)
-    test = null_test(null_power(noise[0, :2], coupling), null_power(noise[1:, :2], coupling))
+    test = null_test(null_power(noise[0, :2], coupling), null_power(noise[1:, :2], coupling), coupling)
     write_null_tests(tmp_path / "null.ecsv", powers, {"night": test, "array": test})
     table = Table.read(tmp_path / "null.ecsv")
     np.testing.assert_array_equal(table["array_power"], test.power_uk2)

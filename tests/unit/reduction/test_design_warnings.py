@@ -52,6 +52,17 @@ SCORED_TRACK = {key: value for key, value in TRACK.items() if key != "score"} | 
 # The small scene: samples 24 arcsec apart, a beam of 60 and pixels of 30; scans of 24 arcmin, 9 arcmin across, a dither
 # of 2 arcmin, and an array of 2.67 arcmin.
 CASES = {
+    # Bins of 6 s above 2.5 Hz begin at 2.67 Hz: 4 of their 28 cosines are below 3 Hz, and 2 are a line.
+    "filtered white": (
+        {"cleaning.algorithm": ["average", "highpass"], "cleaning.highpass_frequency": "3 Hz"},
+        {
+            "cleaning.algorithm": ["average", "highpass", "notch"],
+            "cleaning.highpass_frequency": "0.5 Hz",
+            "cleaning.notch_frequencies": "[1.5] Hz",
+            "cleaning.notch_widths": "[0] Hz",
+        },
+        "score.white_noise_above: filters of cleaning.algorithm remove 14 % of the noise above 2.5 Hz, and",
+    ),
     "sampling": (
         {"scan.sample_rate": "7.9 Hz"},
         {"scan.sample_rate": "8 Hz"},
@@ -134,6 +145,15 @@ def path(tmp_path):
 
 
 MORE = {
+    "filtered white by a notch": (
+        {
+            "cleaning.algorithm": ["average", "notch"],
+            "cleaning.notch_frequencies": "[3] Hz",
+            "cleaning.notch_widths": "[0] Hz",
+        },
+        {"cleaning.highpass_frequency": "3 Hz"},
+        "score.white_noise_above: filters of cleaning.algorithm remove 7 % of the noise above 2.5 Hz, and the measured",
+    ),
     "track": (
         SCORED_TRACK | {"score.size": "4.7 arcmin"},
         SCORED_TRACK | {"score.size": "4.6 arcmin"},

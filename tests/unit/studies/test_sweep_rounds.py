@@ -128,11 +128,11 @@ def test_workers_and_interruptions_change_no_bit(early, path, tmp_path, monkeypa
     for last in (6, 11):  # 12 observations in the first round
         observe, calls = survey.observe, []
 
-        def stop(*arguments, observe=observe, calls=calls, last=last):
+        def stop(*arguments, observe=observe, calls=calls, last=last, **options):
             calls.append(arguments)
             if len(calls) == last:
                 raise KeyboardInterrupt
-            return observe(*arguments)
+            return observe(*arguments, **options)
 
         with monkeypatch.context() as patch:
             patch.setattr(survey, "observe", stop)

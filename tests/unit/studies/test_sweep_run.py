@@ -297,11 +297,11 @@ def interrupted(sweep, out, monkeypatch):
     """Run three points of four observations until the third observation of the second point."""
     observe, calls = survey.observe, []
 
-    def stop(*arguments):
+    def stop(*arguments, **options):
         calls.append(arguments)
         if len(calls) == 7:
             raise KeyboardInterrupt
-        return observe(*arguments)
+        return observe(*arguments, **options)
 
     with monkeypatch.context() as patch:
         patch.setattr(survey, "observe", stop)
@@ -317,7 +317,12 @@ def test_two_workers_and_an_interruption_give_the_same_table(write, tmp_path, mo
     interrupted(path, three, monkeypatch)
     assert sorted(file.name for file in (three / "points").iterdir()) == ["0", "000.npz", "001.checkpoint.h5"]
     observe, calls, seen = survey.observe, [], []
-    monkeypatch.setattr(survey, "observe", lambda *arguments: calls.append(arguments[1]) or observe(*arguments))
+
+    def count(*arguments, **options):
+        calls.append(arguments[1])
+        return observe(*arguments, **options)
+
+    monkeypatch.setattr(survey, "observe", count)
     run_sweep(path, three, engine=SERIAL, resume=True, figures=False, progress=seen.append)
     assert calls == [2, 3, 0, 1, 2, 3] and seen == [2, 3]
     assert (one / "sweep.ecsv").read_bytes() == (two / "sweep.ecsv").read_bytes() == (three / "sweep.ecsv").read_bytes()
@@ -380,10 +385,10 @@ def test_a_full_disk_leaves_no_half_of_a_point(levels, tmp_path, monkeypatch):
 def test_failures_name_their_point(write, monkeypatch):
     observe = survey.observe
 
-    def fail(setup, *rest):
+    def fail(setup, *rest, **options):
         if setup.scene.scan.speed_rad_s > 0.001:
             raise InputError("no strip is long enough")
-        return observe(setup, *rest)
+        return observe(setup, *rest, **options)
 
     monkeypatch.setattr(survey, "observe", fail)
     with pytest.raises(InputError, match=r"point \(scan.speed = 4 arcmin / s\): no strip is long enough"):

@@ -123,7 +123,9 @@ def test_halves_of_the_array_are_interleaved(setup):
         (SMALL_SCENE, {"spectra.splits": ["array"]}, "spectra.parts: found without the split 'night'"),
         (SMALL_SCENE, {"spectra.splits": ["night", "night"]}, "found 'night' more than once"),
         (SMALL_SCENE, {"spectra.ell_bin": 9000}, "spectra.ell_bin: found 9000; 8000 or less"),
+        (SMALL_SCENE, {"spectra.ell_bin": 10}, "spectra.ell_bin: found 10; 900 or more is expected, the distance"),
         (SMALL_SCENE, {"scan.scans": 1}, "found 'direction' with one scan of the pattern 'raster'"),
+        (SMALL_SCENE, {"map.maker": "maximum_likelihood"}, "spectra: found with map.maker = 'maximum_likelihood'"),
         (SMALL_SCENE, {"score": None}, r"spectra: found without \[score\]"),
         (
             with_scan(
