@@ -13,6 +13,7 @@ from mapmaker.formats import read_timestreams
 from mapmaker.pipeline.config import Config
 from mapmaker.pipeline.dropped import FILE, OFF_MAP, UNREADABLE, Dropped
 from mapmaker.pipeline.field import Field, extended, map_geometry, stated_field
+from mapmaker.pipeline.makers import iterated_maps, solved_maps, with_noise
 from mapmaker.pipeline.mapped_file import FileStore, mapped_file
 from mapmaker.pipeline.maps import Maps
 from mapmaker.pipeline.noise_spectra import NoiseSpectra, noise_spectra
@@ -115,11 +116,12 @@ def clean_and_map(
         for number, (path, name) in enumerate(good):
             try:
                 item = clean_file(name, read_timestreams(path, fwhm_rad=config.input.fwhm), config)
+                weight = sample_weights(item, config.map.weights)
+                file = mapped_file(geometry, item, weight, splits, place=(number, len(good)), order=order)
+                file = with_noise(file, config)
             except InputError as error:
                 dropped += _of_error(path, name, error)
             else:
-                weight = sample_weights(item, config.map.weights)
-                file = mapped_file(geometry, item, weight, splits, place=(number, len(good)), order=order)
                 dropped += [*item.dropped, *file.off_map]
                 files[name] = _file_record(item, weight)
                 detectors += _detector_records(item, weight)
@@ -137,10 +139,8 @@ def _made(config: Config, store: FileStore, sums: MapSums, show: Show) -> Maps:
     """Make the maps of the files in the sums, or in the store."""
     if config.map.maker == "binned":
         return sums.maps()
-    from mapmaker.pipeline.makers import iterated_maps, solved_maps
-
     make = iterated_maps if config.map.maker == "iterative" else solved_maps
-    return make(store, sums, config, lambda passes: show(f"pass {passes}", 0, 0))
+    return make(store, sums, config, lambda passes: show("pass over the files", passes, 0))
 
 
 def _names(paths: Sequence[str | Path]) -> list[str]:

@@ -7,6 +7,7 @@ they are drawn in a second pass. Wind cleaning needs the wind of all blocks, so 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +15,15 @@ import numpy as np
 from mapmaker.formats.hdf5 import timestream_file
 from mapmaker.geometry import MapGeometry
 from mapmaker.kernels.pixels import bin_samples
-from mapmaker.normal_equations import add_diagonal, add_right_side
+from mapmaker.normal_equations import add_diagonal, add_normal, add_right_side
 from mapmaker.stream_psd import hann_power, white_level
+from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaned_block import CleanedBlock, reduce_block
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
 from surveysim.reduction.detector_weights import weighted
 from surveysim.reduction.figure_of_merit import TARGETS, best_places, figures_of_merit
 from surveysim.reduction.layer_delays import delays_of_all_blocks
-from surveysim.reduction.map_noise import map_noise
+from surveysim.reduction.map_noise import map_noise, probe_map, weighed_noise, weighs_itself
 from surveysim.reduction.noise_only_sets import add_simulated
 from surveysim.reduction.noise_weights import BlockWeights, block_weights, save_weights
 from surveysim.reduction.observation_result import ObservationResult
@@ -52,7 +54,7 @@ class _Sums:
     (n_det,); number `flagged` of lost samples. Of each block: `kept`, `iterations` and `removed` (n_pipeline, n_scan),
     `lost` (n_scan,) scans, and the number of kept scans with their mean PSD (n_freq,) [mK^2/Hz], before cleaning
     (`raw`) and after the other pipelines (`compared`). `noise_weights` of blocks with a kept scan, of maps that are
-    solved for.
+    solved for; `probe` (n_pixel,) is P^T N^-1 P of `probe_map`, of maximum-likelihood maps.
     """
 
     maps: dict[str, Map]
@@ -69,6 +71,7 @@ class _Sums:
     raw: list[tuple[int, np.ndarray]] = field(default_factory=list)
     compared: list[list[tuple[int, np.ndarray]]] = field(default_factory=list)
     noise_weights: list[BlockWeights] = field(default_factory=list)
+    probe: np.ndarray = field(default_factory=partial(np.zeros, 0))
 
 
 def observe(
@@ -133,7 +136,7 @@ def observe(
     total, hits = (np.stack(planes) for planes in zip(*ordered, strict=True))
     weights = np.stack([exposure[name] for name in analysis.data_set_names]) if sums.exposure else hits
     with watch("weights"):
-        of_sets = [map_noise(analysis, *item) for item in zip(total, weights, hits, strict=True)]
+        of_sets = [_map_noise(sums, analysis, *item) for item in zip(total, weights, hits, strict=True)]
         noise, of_bins = (np.array(part) for part in zip(*of_sets, strict=True))
     removed = np.concatenate(sums.removed, axis=1)
     compared = [mean_psd(list(of_pipeline)) for of_pipeline in zip(*sums.compared, strict=True)]
@@ -194,7 +197,10 @@ def _empty_sums(setup: Setup, with_signal_sims: bool) -> _Sums:
     if setup.analysis.weight is not None or setup.scene.map.solved:
         exposure = {name: np.zeros(n_pixel) for name in hits}
         exposure |= {name: exposure[ACTUAL] for name in names if name not in hits}
-    return _Sums(maps, exposure, signals, empty_split_maps(setup.analysis), power, np.zeros(len(power)))
+    found = _Sums(maps, exposure, signals, empty_split_maps(setup.analysis), power, np.zeros(len(power)))
+    if weighs_itself(setup.scene.map):
+        found.probe = np.zeros(n_pixel)
+    return found
 
 
 def _add_part(sums: _Sums, part: CleanedBlock, save: Callable[[CleanedBlock], None], watch: Stopwatch) -> None:
@@ -234,12 +240,25 @@ def _add_right_side(sums: _Sums, part: CleanedBlock, watch: Stopwatch) -> None:
         normal = part.normal
     if normal is None:
         return
-    [pipeline], [item] = part.pipelines, part.cleaned
+    setup, [pipeline], [item] = part.setup, part.pipelines, part.cleaned
     with watch("binning"):
         total, hits = sums.maps[pipeline.data_set]
         add_right_side(normal, item.data_mk, total)
         add_diagonal(normal, sums.exposure[pipeline.data_set], hits)
+        if weighs_itself(setup.scene.map):
+            probe = probe_map(setup.analysis.geometry).reshape(1, -1).astype(setup.stream_type)
+            add_normal(normal, probe, sums.probe[None])
     sums.noise_weights.append(block_weights(part.block, pipeline.rows, normal, part.streams.flags))
+
+
+def _map_noise(
+    sums: _Sums, analysis: AnalysisSetup, total: np.ndarray, weight: np.ndarray, hits: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Noise of the map of one data set, and in each multipole bin."""
+    if not weighs_itself(analysis.scene.map):
+        return map_noise(analysis.region, total, weight)
+    probe, observed = probe_map(analysis.geometry), sums.probe.reshape(total.shape)
+    return weighed_noise(analysis.region, total, hits, probe=probe, observed=observed)
 
 
 def _add_spectra(sums: _Sums, part: CleanedBlock) -> None:

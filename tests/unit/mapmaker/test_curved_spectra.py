@@ -63,6 +63,8 @@ def test_skies_come_back():
     expected, error = found.windows @ spectrum[found.window_ell.astype(int)], realized.std(axis=0) / np.sqrt(n_sky)
     assert (np.abs(realized.mean(axis=0) - expected) < 4 * error).all()
     analytic = cross_band_powers(maps[0], found, signal_uk2=expected).covariance
+    assert analytic.flags == ()
+    np.testing.assert_allclose(found.field.unevenness(maps[0, 0] - maps[0, 1])[1:], 1, atol=0.5)
     assert (np.abs(analytic.error_uk2 / realized.std(axis=0) - 1) < 4 / np.sqrt(2 * n_sky)).all()
 
 
