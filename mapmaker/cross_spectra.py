@@ -76,10 +76,10 @@ def cross_band_powers(
     """Band powers of the sky in several maps of independent noise.
 
     The mean over all pairs of maps has no noise bias. The analytic covariance is that of Gaussian signal and noise
-    (Knox 1995, PRD 52, 4307, for cross-spectra): pseudo-powers of the bins b and b' have the covariance ``2 K_bb' tr(Q
-    C_b Q C_b')`` with the covariance C of a mode between maps, measured noise included, the weights Q of their products
-    and the scatter K of the coupling. It holds where signal and noise change little over the taper's resolution, and
-    for noise that is uniform under the taper.
+    (Knox 1995, PRD 52, 4307, for cross-spectra): the pseudo-powers of the bins b and b' have the covariance ``2 K_bb'
+    tr(X_b X_b')``, ``X_b = C_b^(1/2) Q C_b^(1/2)``, with the covariance C of a mode between maps, measured noise
+    included, the weights Q of their products and the scatter K of the coupling. It holds where signal and noise change
+    little over the taper's resolution, for noise that is uniform under the taper and in all directions of modes.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def cross_band_powers(
         power_uk2=power,
         noise_uk2=coupling.decouple(own - cross),
         n_modes=coupling.n_modes,
-        covariance=_analytic_covariance(coupling, signal, noise),
+        covariance=_analytic_covariance(coupling, signal, noise, maps_uk[0] - maps_uk[1]),
         window_ell=coupling.window_ell,
         windows=coupling.windows,
         flags=coupling.flags,
@@ -164,26 +164,63 @@ def _pseudo_powers(maps_uk: np.ndarray, field: Field) -> tuple[np.ndarray, np.nd
     return (together - own.sum(axis=-2)) / (n_map * (n_map - 1)), own
 
 
-def _analytic_covariance(coupling: ModeCoupling, signal_uk2: np.ndarray, noise: np.ndarray) -> Covariance:
-    """Covariance from the signal's band powers (n_bin,) and the pseudo-power of each map's noise (n_map, n_bin)."""
-    n_map, signal = len(noise), coupling.expected_pseudo_power(signal_uk2)
-    pairs = (np.ones((n_map, n_map)) - np.eye(n_map)) / (n_map * (n_map - 1))
-    of_maps = signal[:, None, None] + noise.T[:, :, None] * np.eye(n_map)
-    values, vectors = np.linalg.eigh(of_maps)
-    root = np.einsum("bij,bj,bkj->bik", vectors, np.sqrt(np.maximum(values, 0)), vectors)
-    products = np.einsum("aij,jk,bkl->abil", root, pairs, root)
-    covariance = 2 * coupling.scatter * np.sum(products**2, axis=(2, 3))
+def _analytic_covariance(
+    coupling: ModeCoupling, signal_uk2: np.ndarray, noise: np.ndarray, difference_uk: np.ndarray
+) -> Covariance:
+    """Covariance from the signal's band powers (n_bin,) and the pseudo-power of each map's noise (n_map, n_bin).
+
+    The difference of two maps tells whether all modes of a bin have one noise.
+    """
+    signal = coupling.expected_pseudo_power(signal_uk2)
+    covariance = 2 * coupling.scatter * _mode_covariance(signal, noise)
     both = coupling.usable & coupling.usable[:, None]
-    distant = coupling.distant_pseudo_power(signal_uk2) > MOST_DISTANT * (signal + noise.mean(axis=0) / n_map)
-    return Covariance(
-        np.where(both, coupling.inverse @ covariance @ coupling.inverse.T, np.nan),
-        0,
-        (_distant_flag(distant),) if distant.any() else (),
-    )
+    distant = coupling.distant_pseudo_power(signal_uk2) > MOST_DISTANT * (signal + noise.mean(axis=0) / len(noise))
+    flags = _distant_flags(distant) + _noise_flags(coupling, coupling.field.unevenness(difference_uk), signal, noise)
+    return Covariance(np.where(both, coupling.inverse @ covariance @ coupling.inverse.T, np.nan), 0, flags)
 
 
-def _distant_flag(distant: np.ndarray) -> str:
+def _mode_covariance(signal: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Half the covariance (n_bin, n_bin) of the mean cross-power of modes that are alike but for their power.
+
+    With the covariance C_b of a mode between the maps, and the weights Q of their products, it is ``tr(X_b X_b')`` with
+    ``X_b = C_b^(1/2) Q C_b^(1/2)``.
+    """
+    n_map = len(noise)
+    pairs = (np.ones((n_map, n_map)) - np.eye(n_map)) / (n_map * (n_map - 1))
+    values, vectors = np.linalg.eigh(signal[:, None, None] + noise.T[:, :, None] * np.eye(n_map))
+    root = np.einsum("bij,bj,bkj->bik", vectors, np.sqrt(np.maximum(values, 0)), vectors)
+    products = root @ pairs @ root
+    return np.einsum("aij,bij->ab", products, products)
+
+
+def _noise_flags(coupling: ModeCoupling, uneven: np.ndarray, signal: np.ndarray, noise: np.ndarray) -> tuple[str, ...]:
+    """Flag noise that depends on the direction of modes, which has fewer degrees of freedom than the scatter counts.
+
+    Parameters
+    ----------
+    coupling
+    uneven : (n_bin,)
+        Variance of the noise's power over that of even modes.
+    signal, noise : (n_bin,), (n_map, n_bin)
+        Pseudo-power of the sky and of the noise of each map.
+    """
+    modes = np.where(coupling.usable, coupling.n_modes, 0)
+    excess = np.average(uneven, weights=modes) - 1
+    # The squared power of a complex mode has a relative scatter of sqrt(5).
+    if excess < 3 * np.sqrt(5 / (modes.sum() / 2)):
+        return ()
+    of_noise, whole = (np.diag(_mode_covariance(of_sky, noise)) for of_sky in (0 * signal, signal))
+    share = np.divide(of_noise, whole, out=np.zeros(whole.size), where=whole > 0)
+    error = np.sqrt(1 + excess * share[coupling.usable].max()) - 1
+    if error < WORST_ERROR:
+        return ()
+    return (f"noise depends on the direction of modes: true errors are larger, by some {100 * error:.0f} %",)
+
+
+def _distant_flags(distant: np.ndarray) -> tuple[str, ...]:
+    if not distant.any():
+        return ()
     return (
         f"{distant.sum()} of {distant.size} bins: more than {100 * MOST_DISTANT:.0f} % of the power comes from distant "
-        "multipoles, and analytic errors are too small"
+        "multipoles, and analytic errors are too small",
     )

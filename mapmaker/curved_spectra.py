@@ -7,7 +7,7 @@ import numpy as np
 
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.errors import InsufficientDataError, OutOfRangeError
-from mapmaker.mode_coupling import ModeCoupling, beam_power, coupling_flags, usable_bins
+from mapmaker.mode_coupling import ModeCoupling, beam_power, coupling_flags, unevenness, usable_bins
 from mapmaker.spectrum import checked_taper
 from mapmaker.transfer_function import pixel_window
 from mapmaker.validation import argument_error, increasing, reals
@@ -35,6 +35,17 @@ class CurvedField:
         for index in np.ndindex(maps_uk.shape[:-1]):
             power[index] = self.bin_mean(_power_spectrum(self.taper * maps_uk[index]))
         return power / np.mean(self.taper**2)
+
+    def unevenness(self, map_uk: np.ndarray) -> np.ndarray:
+        """Variance of the modes' power in each bin over that of modes of one variance, (n_bin,)."""
+        from healpy import Alm, map2alm
+
+        modes = map2alm(self.taper * map_uk)
+        ell, m = Alm.getlm(Alm.getlmax(modes.size))
+        n_bin = self.first_ell.size - 1
+        place = np.searchsorted(self.first_ell, ell, side="right") - 1
+        place[place < 0] = n_bin
+        return unevenness(np.abs(modes[m > 0]) ** 2, place[m > 0], n_bin)
 
     def bin_mean(self, of_ell: np.ndarray) -> np.ndarray:
         """Mean over the modes of each bin, (n_bin,), of values (n_ell,) of multipoles from 0 to the last bin."""

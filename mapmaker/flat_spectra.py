@@ -7,7 +7,7 @@ import numpy as np
 
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.errors import OutOfRangeError
-from mapmaker.mode_coupling import ModeCoupling, beam_power, coupling_flags, narrow_edges, usable_bins
+from mapmaker.mode_coupling import ModeCoupling, beam_power, coupling_flags, narrow_edges, unevenness, usable_bins
 from mapmaker.spectrum import (
     Annuli,
     annuli,
@@ -15,6 +15,7 @@ from mapmaker.spectrum import (
     map_psd,
     mode_ell,
     mode_multiplicity,
+    mode_psd,
     ring_mean,
     taper_autocorrelation,
 )
@@ -41,6 +42,12 @@ class FlatField:
     def pseudo_power(self, maps_uk: np.ndarray) -> np.ndarray:
         """Binned PSD (..., n_bin) [uK^2 sr] of maps (..., n_y, n_x), as `map_psd`."""
         return map_psd(maps_uk, self.taper, self.pixel_rad, self.rings)
+
+    def unevenness(self, map_uk: np.ndarray) -> np.ndarray:
+        """Variance of the modes' power in each bin over that of modes of one variance, (n_bin,)."""
+        is_complex = self.rings.multiplicity == 2
+        power = mode_psd(map_uk, self.taper, self.pixel_rad).ravel()[is_complex]
+        return unevenness(power, self.rings.bin_of_mode[is_complex], self.rings.ell.size)
 
 
 @dataclass(frozen=True)

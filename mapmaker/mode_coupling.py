@@ -29,6 +29,10 @@ class Field(Protocol):
         """Binned power (..., n_bin) [uK^2 sr] of tapered maps (..., *shape)."""
         ...
 
+    def unevenness(self, map_uk: np.ndarray) -> np.ndarray:
+        """Variance of the modes' power in each bin over that of modes of one variance, (n_bin,)."""
+        ...
+
 
 @dataclass(frozen=True)
 class ModeCoupling:
@@ -116,6 +120,23 @@ class ModeCoupling:
         below = self.window_ell < self.edges_ell[:-1, None] - self.resolution_ell
         above = self.window_ell > self.edges_ell[1:, None] + self.resolution_ell
         return np.where(self.usable, self.transfer, 0) * ((self.response * (below | above)) @ powers)
+
+
+def unevenness(power: np.ndarray, place: np.ndarray, n_bin: int) -> np.ndarray:
+    """Mean square of the power of complex Gaussian modes over twice its squared mean, in each bin, (n_bin,).
+
+    It is about 1 if the modes of a bin have one variance, else the mean of their squared variances over their squared
+    mean.
+
+    Parameters
+    ----------
+    power : (n_mode,)
+    place : (n_mode,)
+        Bin of each mode; `n_bin` for modes outside.
+    n_bin
+    """
+    count, first, second = (np.bincount(place, power**order, n_bin + 1)[:n_bin] for order in range(3))
+    return np.divide(count * second, 2 * first**2, out=np.ones(n_bin), where=first > 0)
 
 
 def narrow_edges(edges_ell: np.ndarray, step: float, top: float) -> np.ndarray:

@@ -65,6 +65,7 @@ def _summary(result: "Result", out: Path) -> str:
     files = [item for item in result.files if item.used]
     share = sum(item.samples_used for item in files) / max(1, sum(item.samples for item in files))
     lines = [f"{len(files)} of {len(result.files)} files mapped, {100 * share:.1f} % of their samples"]
+    lines += [result.maps.solution] if result.maps.solution else []
     totals = reason_totals(result.dropped)
     lines += [f"  {item.text}" for item in totals[:_MOST_LINES]]
     lines += [f"  {item.file}: {item.detail}" for item in result.dropped if item.what == "file"][:_MOST_LINES]

@@ -24,7 +24,8 @@ def progress_display(quiet: bool) -> Iterator[Show]:
 
 def _show_line(what: str, done: int, total: int) -> None:
     if not total:
-        complain(what)
+        if str(done).rstrip("0") in ("", "1", "2", "5"):  # the number of passes is not known before
+            complain(f"{what} {done}" if done else what)
     elif done % max(1, total // LINES) == 0 or done == total:
         complain(f"{what}: {done}/{total} files")
 

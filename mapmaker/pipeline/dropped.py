@@ -11,6 +11,7 @@ FILE, SCAN, DETECTOR, PART, SAMPLES = "file", "scan", "detector", "detector in s
 UNREADABLE = "unreadable"
 NAMES = "detector names are not unique"
 NO_SCAN = "no usable scan"
+UNITS = "noise out of range"
 CLEANING = "cleaning impossible"
 SHORT = "too short"
 STILL = "does not move"
@@ -32,7 +33,8 @@ EXPLANATIONS = {
     UNREADABLE: "the file cannot be read, or has other content than time-streams",
     NAMES: "two detectors of the file have one name",
     NO_SCAN: "nothing is left of the file",
-    CLEANING: "too few detectors are left, or their places do not support the templates",
+    UNITS: "the cleaned streams have an rms below 1e-8 mK or above 1e8 mK, as in other units",
+    CLEANING: "too few detectors are left for the cleaning, or for the noise of the map-maker",
     SHORT: "the scan is shorter than flags.min_duration",
     STILL: "the boresight moves by less than flags.min_motion",
     FLAGGED: "the file has flags of lost samples",

@@ -9,12 +9,12 @@ import numpy as np
 from mapmaker.binning import BinnedMap, map_shape
 from mapmaker.cleaning import Cleaned, clean_in_order
 from mapmaker.destriping import measure_baseline_weight
+from mapmaker.errors import InsufficientDataError
+from mapmaker.files import one_line
 from mapmaker.geometry import MapGeometry
 from mapmaker.gls import GlsOptions, measure_noise
 from mapmaker.iterative import IterationOptions, StreamBlock, iterate_map, subtract_sky
-from mapmaker.kernels.weighted_sums import add_weighted
 from mapmaker.normal_equations import (
-    NoiseWeight,
     NormalBlock,
     SolveOptions,
     add_diagonal,
@@ -23,9 +23,10 @@ from mapmaker.normal_equations import (
     solve_normal,
 )
 from mapmaker.pipeline.config import Config
+from mapmaker.pipeline.dropped import CLEANING, FILE, Dropped
 from mapmaker.pipeline.mapped_file import FileStore, MappedFile
 from mapmaker.pipeline.maps import Maps
-from mapmaker.pipeline.one_file import cleaning_steps
+from mapmaker.pipeline.one_file import UnusableFileError, cleaning_steps
 from mapmaker.pipeline.sums import MapSums
 
 Tell = Callable[[int], None]  # told the number of passes
@@ -80,18 +81,19 @@ def solved_maps(store: FileStore, sums: MapSums, config: Config, tell: Tell) -> 
     The noise maps are those of the streams without the map, with the sign of one half changed, by the same normal
     equations. Their scale in each pixel is that of the noise of the map for white noise, as in `half_difference`.
     """
+    from mapmaker.kernels.weighted_sums import add_weighted
+
     geometry, splits = sums.geometry, sums.splits
-    weigh, options = _noise_of(config)
+    section = config.map.destriped if config.map.maker == "destriped" else config.map.maximum_likelihood
+    options = SolveOptions(section.tolerance, section.max_iterations)
     n_pixel = geometry.n_x * geometry.n_y
     right, weight, hits = np.zeros((1, n_pixel)), np.zeros(n_pixel), np.zeros(n_pixel, np.int64)
-    noises: list[NoiseWeight] = []
     first = np.zeros((len(splits), n_pixel))
     for file in store.files():
-        noises.append(weigh(file))
-        block = NormalBlock(file.index, file.item.bounds, noises[-1])
+        block = _normal_block(file)
         add_right_side(block, file.item.cleaned_mk, right[0])
         add_diagonal(block, weight, hits)
-        white = noises[-1].white(file.item.bounds)
+        white = file.noise.white(file.item.bounds)
         for half, out in zip(file.halves, first, strict=True):
             of_half = np.where(half & (file.weight > 0), white, 0.0)
             spare = np.zeros(n_pixel), np.zeros(n_pixel, np.int64)
@@ -102,14 +104,13 @@ def solved_maps(store: FileStore, sums: MapSums, config: Config, tell: Tell) -> 
         nonlocal passes
         passes += 1
         tell(passes)
-        for file, noise in zip(store.files(), noises, strict=True):
-            yield NormalBlock(file.index, file.item.bounds, noise)
+        yield from map(_normal_block, store.files())
 
     apply, plane = normal_matrix(blocks, np.dtype(np.float32)), weight.reshape(geometry.n_y, geometry.n_x)
     found = solve_normal(apply, right, plane, options=options)
     noise, converged = [], found.converged.all()
     if splits:
-        flipped = solve_normal(apply, _flipped(store, noises, found.sky_mk[0], len(splits)), plane, options=options)
+        flipped = solve_normal(apply, _flipped(store, found.sky_mk[0], len(splits)), plane, options=options)
         converged &= flipped.converged.all()
         noise = [_noise_map(geometry, sky, one, (weight, hits)) for sky, one in zip(flipped.sky_mk, first, strict=True)]
     end = "converged" if converged else "did not converge"
@@ -118,36 +119,44 @@ def solved_maps(store: FileStore, sums: MapSums, config: Config, tell: Tell) -> 
     return Maps(made, splits, tuple(noise), solution=solution, converged=bool(converged))
 
 
-def _noise_of(config: Config) -> tuple[Callable[[MappedFile], NoiseWeight], SolveOptions]:
-    """Function that measures the noise weight of a file, and options of the solution."""
-    if config.map.maker == "destriped":
-        striped = config.map.destriped
+def _normal_block(file: MappedFile) -> NormalBlock:
+    return NormalBlock(file.index, file.item.bounds, file.noise)
 
-        def weigh(file: MappedFile) -> NoiseWeight:
-            length = max(2, round(striped.baseline / _step_s(file)))
-            return measure_baseline_weight(file.item.cleaned_mk, file.index, file.item.bounds, length)
 
-        return weigh, SolveOptions(striped.tolerance, striped.max_iterations)
-    section = config.map.maximum_likelihood
-    options = GlsOptions((0.0, *section.bands, np.inf), section.max_modes)
+def with_noise(file: MappedFile, config: Config) -> MappedFile:
+    """Measure the noise of a file for the maker, if that solves the normal equations.
 
-    def measure(file: MappedFile) -> NoiseWeight:
-        return measure_noise(file.item.cleaned_mk, file.item.bounds, 1 / _step_s(file), options)
-
-    return measure, SolveOptions(section.tolerance, section.max_iterations)
+    Raises
+    ------
+    UnusableFileError
+        Where the streams do not suffice.
+    """
+    maker, item = config.map.maker, file.item
+    try:
+        if maker == "destriped":
+            length = max(2, round(config.map.destriped.baseline / _step_s(file)))
+            return replace(file, noise=measure_baseline_weight(item.cleaned_mk, file.index, item.bounds, length))
+        if maker == "maximum_likelihood":
+            section = config.map.maximum_likelihood
+            options = GlsOptions((0.0, *section.bands, np.inf), section.max_modes)
+            return replace(file, noise=measure_noise(item.cleaned_mk, item.bounds, 1 / _step_s(file), options))
+    except InsufficientDataError as error:
+        dropped = Dropped(item.name, FILE, CLEANING, detail=one_line(error))
+        raise UnusableFileError((*item.dropped, dropped)) from None
+    return file
 
 
 def _step_s(file: MappedFile) -> float:
     return float(np.median(np.diff(file.item.streams.time_s)))
 
 
-def _flipped(store: FileStore, noises: list[NoiseWeight], sky_mk: np.ndarray, n_split: int) -> np.ndarray:
+def _flipped(store: FileStore, sky_mk: np.ndarray, n_split: int) -> np.ndarray:
     """Right-hand sides (n_split, n_pixel) of the streams without the map, with second halves of the other sign."""
     right, padded = np.zeros((n_split, len(sky_mk))), np.append(sky_mk, 0.0)
-    for file, noise in zip(store.files(), noises, strict=True):
+    for file in store.files():
         item = file.item
         rest = item.cleaned_mk - padded[file.index].astype(item.cleaned_mk.dtype)
-        block = NormalBlock(file.index, item.bounds, noise)
+        block = _normal_block(file)
         for half, out in zip(file.halves, right, strict=True):
             signed = np.zeros_like(rest)
             for (start, stop), sign in zip(item.bounds, np.where(half, 1, -1).T, strict=True):

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mapmaker.geometry import MapGeometry, pixel_indices
+from mapmaker.normal_equations import NoiseWeight
 from mapmaker.pipeline.dropped import OFF_MAP, SAMPLES, Dropped
 from mapmaker.pipeline.one_file import CleanedFile
 from mapmaker.pipeline.splits import Split, first_half
@@ -26,12 +27,15 @@ class MappedFile:
         Weight of a sample; 0 in scans that a detector is left out of.
     halves : (n_split, n_det, n_scan) bool
         True for scans in the first half of each division.
+    noise
+        Inverse noise covariance, for makers that solve the normal equations.
     """
 
     item: CleanedFile
     index: np.ndarray
     weight: np.ndarray
     halves: np.ndarray
+    noise: NoiseWeight | None = None
 
     @property
     def off_map(self) -> tuple[Dropped, ...]:
@@ -47,8 +51,8 @@ def mapped_file(
     geometry: MapGeometry,
     item: CleanedFile,
     weight: np.ndarray,
-    splits: Sequence[Split],
     *,
+    splits: Sequence[Split],
     place: tuple[int, int],
     order: dict[str, int],
 ) -> MappedFile:

@@ -26,12 +26,14 @@ from mapmaker.pipeline.dropped import (
     QUIET,
     SAMPLES,
     SCAN,
+    UNITS,
     Dropped,
 )
 from mapmaker.pipeline.usable import Usable, in_scans, leave_out, mostly_lost, usable_data, without_bad_scans
 from mapmaker.timestreams import Timestreams
 
 _MOST_PLACES = 10_000  # along a side of the map of places
+_RMS_MK = 1e-8, 1e8  # of cleaned streams: beyond it they are hardly in mK
 _CIRCLE = 101  # pixels across a spared circle
 
 
@@ -232,6 +234,10 @@ def _result(streams: Timestreams, state: Usable, cleaned: Cleaned, glitches: np.
     if not kept.any():
         raise UnusableFileError((*dropped, Dropped(state.name, FILE, NO_SCAN, detail="cleaning discarded all scans")))
     lost, bounds = state.lost[rows], state.bounds[kept]
+    variance = mean_square(cleaned.data_mk, lost, bounds)
+    rms = float(np.sqrt(np.median(variance)))
+    if not _RMS_MK[0] <= rms <= _RMS_MK[1]:
+        raise UnusableFileError((*dropped, Dropped(state.name, FILE, UNITS, detail=f"{rms:.2g} mK")))
     filled = fill_flagged(streams.data_mk[rows], bounds, lost)
     some = replace(streams, data_mk=filled, focal_plane=streams.focal_plane.subset(rows), flags=lost)
     return CleanedFile(
@@ -241,7 +247,7 @@ def _result(streams: Timestreams, state: Usable, cleaned: Cleaned, glitches: np.
         cleaned_mk=cleaned.data_mk,
         bounds=bounds,
         used=~state.left_out[rows][:, kept],
-        variance_mk2=mean_square(cleaned.data_mk, lost, bounds),
+        variance_mk2=variance,
         white_mk=white_noise(cleaned.data_mk, lost, bounds),
         found=(len(state.labels), len(streams.scan_bounds)),
         dropped=tuple(dropped),

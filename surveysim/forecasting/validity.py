@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapmaker.cleaning import TIME_FILTERS
 from surveysim.forecasting.mode_response import PROJECTIONS
 from surveysim.forecasting.observing_conditions import ObservingConditions
 from surveysim.forecasting.pilot import KeptScans
@@ -31,6 +32,10 @@ _PIXEL_REACH = 0.75  # of the map pixel's Nyquist multipole
 _STRIPES = 0.33
 _SCATTERED = 0.07  # least fraction of the mean noise of all multipoles that is scattered to each
 _APPROXIMATE = {"wind": "shifted along the wind", "pca": "by principal components"}  # taken as average subtraction
+_OF_CHUNKS = (
+    "Filters in time are those of a chunk whose middle crosses the middle of the patch; others lose more at their ends,"
+    " by about a tenth of sigma(A)."
+)
 
 
 @dataclass(frozen=True)
@@ -159,6 +164,8 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
     if templates := len(PROJECTIONS[inputs.pipeline.spatial_step]):
         yield _few_detectors(templates, inputs.n_det)
     if not inputs.tracks.straight:
+        if not set(inputs.pipeline.steps).isdisjoint(TIME_FILTERS):
+            yield NeglectedEffect("filters", None, _OF_CHUNKS, True)
         yield _curvature(setup.analysis.region, inputs)
     yield _uneven_coverage(setup.analysis.region, inputs.hits)
     if not weighs_itself(setup.scene.map):

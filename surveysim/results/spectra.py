@@ -61,6 +61,7 @@ def _bins(spectra: SurveySpectra) -> Iterator[dict[str, Any]]:
         "noise_bias_error_uk2": item.bias_error_uk2,
     }
     columns |= {} if spectra.input_uk2 is None else {"input_uk2": spectra.input_uk2}
+    columns |= {} if spectra.sky_uk2 is None else {"sky_uk2": spectra.sky_uk2}
     for place in range(len(powers.ell)):
         yield known({name: float(values[place]) for name, values in columns.items()})
 
@@ -120,8 +121,8 @@ def band_power_table(entry: Content) -> Table:
         column("transfer_function_error_uk2", of["transfer_function_error_uk2"], "of transfer", number, unit="uK2"),
         *quoted_columns(_BIAS, of[_BIAS[0]], of[_BIAS[1]], "noise bias", unit="uK2"),
     ]
-    if "input_uk2" in of:
-        columns.append(column("input_uk2", of["input_uk2"], "input", number, unit="uK2"))
+    headings = {"input_uk2": "spectrum", "sky_uk2": "this sky"}
+    columns += [column(name, of[name], heading, number, unit="uK2") for name, heading in headings.items() if name in of]
     return Table("band_power", f"Band powers from the split {entry['reported']!r}", tuple(columns))
 
 
@@ -173,8 +174,8 @@ def split_spectra_table(spectra: SurveySpectra, meta: Content) -> Table:
         file_column("transfer_function", spectra.transfer),
         file_column("transfer_function_error", spectra.transfer_error),
     ]
-    if spectra.input_uk2 is not None:
-        columns.append(file_column("input", spectra.input_uk2, "uK2"))
+    for name, values in (("input", spectra.input_uk2), ("sky", spectra.sky_uk2)):
+        columns += [] if values is None else [file_column(name, values, "uK2")]
     for name, item in spectra.splits.items():
         columns += [
             file_column(f"power_{name}", item.powers.power_uk2, "uK2"),

@@ -20,6 +20,7 @@ from mapmaker.null_tests import ChiSquared, NullTest, chi_squared, null_power, n
 from mapmaker.spectrum import annuli, map_psd, mode_ell
 from mapmaker.transfer_function import TransferFunction, measure_transfer_function, mode_pixel_window
 from surveysim.reduction.cleaning_pipelines import ACTUAL
+from surveysim.reduction.input_map import input_map
 from surveysim.reduction.setup import Setup
 from surveysim.reduction.splits import Split
 from surveysim.runtime.errors import InsufficientDataError
@@ -84,12 +85,15 @@ class SurveySpectra:
     transfer_error : (n_bin,)
     input_uk2 : (n_bin,), optional
         Expected band powers of the simulated sky; None where it is no spectrum.
+    sky_uk2 : (n_bin,), optional
+        Band powers of the simulated sky itself, with its sample variance; None without a sky.
     """
 
     splits: dict[str, SplitSpectrum]
     transfer: np.ndarray
     transfer_error: np.ndarray
     input_uk2: np.ndarray | None
+    sky_uk2: np.ndarray | None
 
     @property
     def reported(self) -> SplitSpectrum:
@@ -119,7 +123,7 @@ def survey_spectra(setup: Setup, coadds: CoAdds) -> SurveySpectra:
     splits = {split.name: _split_spectrum(measure, coadds, split) for split in setup.analysis.splits.splits}
     transfer = measure.transfer
     expected = _expected(measure)
-    return SurveySpectra(splits, transfer.transmission, transfer.error, expected)
+    return SurveySpectra(splits, transfer.transmission, transfer.error, expected, _sky(measure))
 
 
 def bin_edges(setup: Setup) -> np.ndarray:
@@ -164,6 +168,16 @@ def _expected(measure: _Measure) -> np.ndarray | None:
     if measure.spectrum is None:
         return None
     return measure.coupling.windows @ measure.spectrum(measure.coupling.window_ell)
+
+
+def _sky(measure: _Measure) -> np.ndarray | None:
+    """Band powers (n_bin,) of the simulated sky, from its map without noise, scans and cleaning."""
+    analysis = measure.setup.analysis
+    if analysis.own_sky is None:
+        return None
+    to_ukcmb = 1e3 * analysis.scene.instrument.cmb_per_rj
+    sky = analysis.region.pad(input_map(analysis, analysis.signal_skies_mk[analysis.own_sky])) * to_ukcmb
+    return measure.coupling.decouple(measure.coupling.field.pseudo_power(sky) * measure.transfer.transmission)
 
 
 def _split_spectrum(measure: _Measure, coadds: CoAdds, split: Split) -> SplitSpectrum:

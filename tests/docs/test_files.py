@@ -148,8 +148,9 @@ def _unscored_run(folder):
 
 
 def _run_with_spectra(folder):
-    scene = _scene(folder, "splits", without_sections(SMALL_SCENE, "fixed_pointing", "sky") + SCHEDULE + SPECTRA)
-    surveysim.run(surveysim.load_scene(scene, {"observations": 16, "schedule.nights": 4}), folder / "splits")
+    scene = _scene(folder, "splits", without_sections(SMALL_SCENE, "fixed_pointing") + SCHEDULE + SPECTRA)
+    keys = {"observations": 16, "schedule.nights": 4, "sky.point_sources": []}
+    surveysim.run(surveysim.load_scene(scene, keys), folder / "splits")
     return folder / "splits"
 
 

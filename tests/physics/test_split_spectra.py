@@ -75,7 +75,7 @@ def test_noise_of_nights_is_not_correlated(surveys):
 def test_time_constants_fail_the_split_by_direction_alone(tmp_path):
     """Streams that lag shift the sky along the scan, there and back in turn: the maps differ."""
     bright = QUIET + SKY.replace("100000", "3000000")
-    found = measured(tmp_path, bright, {"time_constants": {"value": "0.15 s"}})
+    found = measured(tmp_path, bright, {"time_constants": {"value": "0.2 s"}})
     assert found.splits["direction"].null.chi_squared.pte < 1e-6
     assert found.splits["night"].null.chi_squared.pte > 1e-3
 
@@ -84,7 +84,11 @@ def test_a_wrong_calibration_fails_the_split_by_array(tmp_path):
     """A gain of one half that is off by 20 %, put into its sums."""
     setup = prepare(load_scene(write_scene(tmp_path, QUIET + SKY.replace("100000", "3000000") + SPECTRA), KEYS))
     coadds = run_observations(setup, None)
-    assert survey_spectra(setup, coadds).splits["array"].null.chi_squared.pte > 1e-3
+    good = survey_spectra(setup, coadds)
+    assert good.splits["array"].null.chi_squared.pte > 1e-3
+    # The band powers of this very sky, without its sample variance of up to 22 %. The transfer function of four skies
+    # is known to 4 %, and each sky leaks otherwise through the taper.
+    np.testing.assert_allclose(good.reported.powers.power_uk2, good.sky_uk2, rtol=0.12)
     place = setup.analysis.splits.of("array").first
     coadds.split_sums[place] *= 1.2
     coadds.split_flipped[place, :, 0] *= 1.2

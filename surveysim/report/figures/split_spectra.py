@@ -22,7 +22,9 @@ def split_spectra(spectra: SurveySpectra) -> Figure:
     left.errorbar(ell, powers.power_uk2, error, xerr=half, label=f"split by {item.split.name}", **style)
     left.axhline(0, color=GREY, lw=0.8)
     if spectra.input_uk2 is not None:
-        left.plot(ell, spectra.input_uk2, color=VERMILION, lw=1.5, label="simulated sky")
+        left.plot(ell, spectra.input_uk2, color=VERMILION, lw=1.5, label="spectrum of the simulated sky")
+    if spectra.sky_uk2 is not None:
+        left.plot(ell, spectra.sky_uk2, "D", color=VERMILION, mfc="none", ms=6, label="the simulated sky itself")
     finish(left, ELL, rf"$\ell(\ell+1)C_\ell/2\pi$ [{UK2_CMB}]")
     legend(left)
     right.axhspan(-1, 1, color=GREY, alpha=0.2, lw=0)

@@ -108,8 +108,9 @@ RUN = {
         "Band powers and null tests",
         "Two panels: band powers of the first split over the input spectrum, and null tests in units of their errors.",
         "Across: multipole ℓ. Left: band powers [µK²_CMB] from the cross-spectra of the first split, with Monte Carlo "
-        "errors; line: band powers of the simulated sky, where it is a spectrum. Right: power of half the difference "
-        "of the parts of each split, less that of their noise, over its error; the label has the probability to "
+        "errors; line: those of the spectrum of the simulated sky, where it is a spectrum alone; diamonds: those of "
+        "the sky itself, with its sample variance. Right: power of half the difference of the parts of each split, "
+        "less that of their noise, over its error; the label has the probability to "
         "exceed. Grey area: one standard error.",
         "Look for points that scatter about the line and about zero by their errors. A null test that fails tells of "
         "a difference between the parts that the sky and the noise do not have.",

@@ -234,12 +234,28 @@ def test_effects_of_curved_tracks_are_flagged(scene_of, name, keys):
 
 
 def test_effects_of_tracks_are_those_of_the_pattern(scene_of):
-    """Stripes are those of rasters, turns those of curves; a wide daisy hardly turns within a wavelength."""
+    """Stripes are those of rasters, turns and filters those of curves; a wide daisy hardly turns in a wavelength."""
     text = SMALL_SCENE.replace("mask_separation_f_lambda = 1.3\n", "")
-    raster, daisy = effects_of(scene_of(text)), effects_of(scene_of(with_scan(text, DAISY), score__size="20 arcmin"))
+    keys = {"cleaning.algorithm": ["average", "time_polynomial"], "cleaning.time_order": 2}
+    raster = effects_of(scene_of(text, **keys))
+    daisy = effects_of(scene_of(with_scan(text, DAISY), score__size="20 arcmin", **keys))
     assert "stripes" in raster and "curved track" not in raster
     assert "stripes" not in daisy and "curved track" in daisy
     assert daisy["curved track"].size < 0.02
+    assert daisy["filters"].flagged and "filters" not in raster
+
+
+def test_solved_maps_have_the_effects_of_their_maker(scene_of):
+    """Baselines as long as a scan of 6 s take some of the weight, a noise model next to none."""
+    text = SMALL_SCENE.replace("mask_separation_f_lambda = 1.3\n", "")
+    likelihood = {"map.maker": "maximum_likelihood", "map.maximum_likelihood.band_edges": "[0.4, 1.6] Hz"}
+    found = effects_of(scene_of(text, **likelihood))
+    assert "weights" not in found and found["map-maker"].size < 0.05 and not found["map-maker"].flagged
+    sizes = [
+        effects_of(scene_of(text, map__maker="destriped", map__destriped__baseline=f"{baseline} s"))["map-maker"].size
+        for baseline in (6, 0.5)
+    ]
+    assert sizes[0] < 0.15 < 0.5 < sizes[1]
 
 
 # ---------------------------------------------------------------- agreement

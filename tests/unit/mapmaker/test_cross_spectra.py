@@ -114,6 +114,31 @@ def test_distant_power_is_flagged(coupling):
     assert cross_band_powers(30 * maps, coupling, signal_uk2=np.ones(5)).covariance.flags == ()
 
 
+def test_stripes_are_flagged(coupling):
+    """Noise that is 20 times as strong along one direction; white noise is not flagged, nor is a bright sky."""
+    white = np.random.default_rng(7).normal(size=(2, 48, 48))
+    along = np.abs(np.fft.rfftfreq(48))
+    stripes = np.fft.irfft(np.fft.rfft(white) * np.sqrt(1 + 20 * (along < 0.1)), 48)
+    faint, bright = np.ones(5), np.full(5, 1e6)
+    (flag,) = cross_band_powers(30 * stripes, coupling, signal_uk2=faint).covariance.flags
+    assert flag.startswith("noise depends on the direction of modes: true errors are larger, by some ")
+    assert cross_band_powers(30 * white, coupling, signal_uk2=faint).covariance.flags == ()
+    for item in cross_band_powers(30 * stripes, coupling, signal_uk2=bright).covariance.flags:
+        assert "direction" not in item
+    np.testing.assert_allclose(coupling.field.unevenness(white[0]), 1, atol=0.5)
+
+
+def test_covariance_is_positive():
+    """Two maps whose noise differs in colour: no combination of bins has a negative variance."""
+    taper = tukey_taper(48, 48, PIXEL, size_rad=48 * PIXEL, edge_fraction=1.0)
+    narrow = flat_coupling(taper, PIXEL, edges_ell=np.arange(2000.0, 12001, 1000), beam=BEAM)
+    white = np.random.default_rng(8).normal(size=(2, 48, 48))
+    ell = mode_ell(48, 48, PIXEL)
+    steep = np.fft.irfft2(np.fft.rfft2(white[0]) * (1 + (8000 / np.maximum(ell, 500)) ** 3), (48, 48))
+    found = cross_band_powers(np.array([steep, white[1]]), narrow, signal_uk2=np.zeros(10)).covariance.matrix_uk4
+    assert np.linalg.eigvalsh(found / np.sqrt(np.outer(np.diag(found), np.diag(found)))).min() > 0
+
+
 def test_few_realizations_are_flagged():
     rng = np.random.default_rng(6)
     assert monte_carlo_covariance(rng.normal(size=(60, 5))).flags == ()

@@ -10,9 +10,9 @@ from astropy.wcs import WCS
 
 from mapmaker.geometry import pixel_centres
 from surveysim.api import run
+from surveysim.reduction.input_map import input_map
 from surveysim.reduction.setup import prepare
 from surveysim.report.figures.survey import survey_figures
-from surveysim.results.sky_recovery import input_map
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
 from tests.scenes import SMALL_SCENE, write_scene

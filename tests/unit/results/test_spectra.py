@@ -97,7 +97,10 @@ def test_page_and_figure(result, entry):
     powers, tests, parts = spectra_blocks(entry)
     assert len(powers.rows) == 4 and len(tests.rows) == 3 and len(parts.items) == 3
     left, right = split_spectra(result.spectra).axes
-    assert {text.get_text() for text in left.get_legend().get_texts()} == {"simulated sky", "split by night"}
+    assert {text.get_text() for text in left.get_legend().get_texts()} == {
+        "spectrum of the simulated sky",
+        "split by night",
+    }
     pulls = result.spectra.splits["array"].null
     drawn = next(line for line in right.lines if line.get_label().startswith("array"))
     np.testing.assert_allclose(drawn.get_ydata(), pulls.power_uk2 / pulls.error_uk2)
