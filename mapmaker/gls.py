@@ -13,8 +13,8 @@ identity. Phases between detectors are not modelled: a pattern that drifts over 
 scan has no weight.
 
 Noise that is measured in a scan fits that scan: a map with it loses noise, and as much of the sky, to modes that are
-there by chance. The noise of a scan is therefore measured in other scans of the observation. Each number that is measured
-adds a little noise. The model is small: one level w_b a band, one r a detector, and modes that are significant.
+there by chance. The noise of a scan is therefore measured in other scans of the observation. Each number that is
+measured adds a little noise. The model is small: one level w_b a band, one r a detector, and significant modes.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -59,7 +59,7 @@ class GlsOptions:
     band_edges_hz: tuple[float, ...] = (0.0, 0.1, 0.2, 0.4, 0.8, 1.6, np.inf)
     max_modes: int = 20
     eigenvalue_cut: float = 2.0
-    folds: int = 2
+    folds: int = 6
     solve: SolveOptions = field(default_factory=SolveOptions)
 
     def __post_init__(self) -> None:
