@@ -23,10 +23,10 @@ from mapmaker.normal_equations import (
     solve_normal,
 )
 from mapmaker.pipeline.config import Config
-from mapmaker.pipeline.dropped import CLEANING, FILE, Dropped
+from mapmaker.pipeline.dropped import CLEANING, FILE, Dropped, UnusableFileError
 from mapmaker.pipeline.mapped_file import FileStore, MappedFile
 from mapmaker.pipeline.maps import Maps
-from mapmaker.pipeline.one_file import UnusableFileError, cleaning_steps
+from mapmaker.pipeline.one_file import cleaning_steps
 from mapmaker.pipeline.sums import MapSums
 
 Tell = Callable[[int], None]  # told the number of passes
