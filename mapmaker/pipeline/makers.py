@@ -12,7 +12,7 @@ from mapmaker.destriping import measure_baseline_weight
 from mapmaker.errors import InsufficientDataError
 from mapmaker.files import one_line
 from mapmaker.geometry import MapGeometry
-from mapmaker.gls import GlsOptions, measure_noise
+from mapmaker.gls import GlsOptions, measure_scan_noise
 from mapmaker.iterative import IterationOptions, StreamBlock, iterate_map, subtract_sky
 from mapmaker.normal_equations import (
     NormalBlock,
@@ -139,7 +139,7 @@ def with_noise(file: MappedFile, config: Config) -> MappedFile:
         if maker == "maximum_likelihood":
             section = config.map.maximum_likelihood
             options = GlsOptions((0.0, *section.bands, np.inf), section.max_modes)
-            return replace(file, noise=measure_noise(item.cleaned_mk, item.bounds, 1 / _step_s(file), options))
+            return replace(file, noise=measure_scan_noise(item.cleaned_mk, item.bounds, 1 / _step_s(file), options))
     except InsufficientDataError as error:
         dropped = Dropped(item.name, FILE, CLEANING, detail=one_line(error))
         raise UnusableFileError((*item.dropped, dropped)) from None
