@@ -16,7 +16,7 @@ _FLUXES = ("catalogue_mjy", "input_mjy", "output_mjy", "transfer", "ratio", "mea
 
 
 def sky_entry(recoveries: Mapping[str, SkyRecovery]) -> dict[str, Any]:
-    """Return the entry `own_sky` of summary.json: what comes back by data set, and the brightest sources of the first."""
+    """Return the entry `own_sky` of summary.json: what comes back of each data set, and sources of the first."""
     first = next(iter(recoveries.values()))
     entry: dict[str, Any] = {
         "recovered": {
