@@ -10,21 +10,22 @@ from surveysim.runtime.numbers import number, quoted, with_error
 from surveysim.runtime.strict_json import known
 from surveysim.runtime.table import Column, Table, column, file_column
 
-Content = Mapping[str, Any]  # entry `sky` of summary.json
+Content = Mapping[str, Any]  # entry `own_sky` of summary.json
 MOST_SHOWN = 12  # sources of a page
 _FLUXES = ("catalogue_mjy", "input_mjy", "output_mjy", "transfer", "ratio", "measured_mjy", "error_mjy")
 
 
 def sky_entry(recoveries: Mapping[str, SkyRecovery]) -> dict[str, Any]:
-    """Return the entry `sky` of summary.json: what comes back by data set, and the brightest sources of the first."""
+    """Return the entry `own_sky` of summary.json: what comes back of each data set, and sources of the first."""
     first = next(iter(recoveries.values()))
-    return {
+    entry: dict[str, Any] = {
         "recovered": {
             name: known({"ratio": item.total, "error": item.total_error}) for name, item in recoveries.items()
-        },
-        "sources": [known(flux_row(item)) for item in first.fluxes[:MOST_SHOWN]],
-        "sources_measured": len(first.fluxes),
+        }
     }
+    if first.fluxes:
+        entry["sources"] = [known(flux_row(item)) for item in first.fluxes[:MOST_SHOWN]]
+    return entry
 
 
 def flux_row(item: SourceFlux) -> dict[str, Any]:

@@ -80,7 +80,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
             content["bin_correlation"] = setup.analysis.region.scored_correlation
         content["time_to_precision"] = [vars(cost) for cost in map(result.cost, TOLD_ERRORS) if cost]
     if result.sky:
-        content["sky"] = sky_entry(result.sky)
+        content["own_sky"] = sky_entry(result.sky)
     if result.spectra:
         content["split_spectra"] = spectra_entry(setup, result.spectra, coadds.done)
     content["closure"] = [vars(item) for item in closure_tests(setup, coadds, result.scores, result.expected)]

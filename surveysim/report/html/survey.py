@@ -66,8 +66,8 @@ def run_page(directory: Path, summary: Content, scene: Content) -> Page:
         sections.append(Section("sensitivity", "Load and sensitivity", sensitivity_blocks(summary["sensitivity"])))
     if summary["scores"]:
         sections.append(Section("scores", "Scores", tuple(score_blocks(summary, scene))))
-    if "sky" in summary:
-        sections.append(Section("sky", "Sky in and out", sky_blocks(summary["sky"])))
+    if "own_sky" in summary:
+        sections.append(Section("sky", "Sky in and out", sky_blocks(summary["own_sky"])))
     if "split_spectra" in summary:
         sections.append(Section("spectra", "Band powers and null tests", spectra_blocks(summary["split_spectra"])))
     sections.append(discarded_section(summary, scene))
@@ -101,7 +101,7 @@ def spectra_blocks(entry: Content) -> tuple[Block, ...]:
 def sky_blocks(entry: Content) -> tuple[Block, ...]:
     """Return the sentences on the sky that comes back, and the table of its brightest sources."""
     lines = Listing(tuple(recovery_sentences(entry)), "Cross-spectrum of the scene's own sky, without noise:")
-    return (lines, grid(source_table(entry), *SKY)) if entry["sources"] else (lines,)
+    return (lines, grid(source_table(entry), *SKY)) if "sources" in entry else (lines,)
 
 
 def run_pictures(directory: Path, summary: Content, scene: Content) -> list[Picture]:

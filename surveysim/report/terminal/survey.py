@@ -59,8 +59,8 @@ def print_result(result: SurveyResult, directory: Path, verbose: bool = False) -
             show_table(console, metrics)
             for line in metric_notes(content["metrics"]):
                 console.say(line)
-    if "sky" in content:
-        _print_sky(console, content["sky"])
+    if "own_sky" in content:
+        _print_sky(console, content["own_sky"])
     if "split_spectra" in content:
         show_table(console, band_power_table(content["split_spectra"]))
         show_table(console, split_table(content["split_spectra"]))
@@ -76,7 +76,7 @@ def print_result(result: SurveyResult, directory: Path, verbose: bool = False) -
 
 def _print_sky(console: Terminal, entry: Content) -> None:
     """Print the sources of the scene's sky that come back, and the share of the sky over the transfer function."""
-    if entry["sources"]:
+    if "sources" in entry:
         show_table(console, source_table(entry))
     for line in recovery_sentences(entry):
         console.say(f"  sky, {plain(line)}")

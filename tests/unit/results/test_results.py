@@ -29,7 +29,7 @@ KEYS = {
 }  # fmt: skip
 SCORED_KEYS = {
     "estimate", "time_to_precision", "forecast_over_simulated", "forecast", "error_budget", "gains",
-    "alternatives", "bin_correlation", "metrics", "sky",
+    "alternatives", "bin_correlation", "metrics", "own_sky",
 }  # fmt: skip
 SETS = ("actual", "uncorrelated", "white", "masked_7")
 
