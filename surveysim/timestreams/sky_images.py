@@ -137,6 +137,11 @@ def _plane(hdu: Any, section: SkyMap) -> tuple[np.ndarray, tuple[str, ...], str,
         ) from None
     if not whole.has_celestial or celestial.naxis != 2:
         raise InputError("file: found no celestial coordinates in the header; an image with a WCS is expected")
+    if celestial.wcs.lngtyp not in ("RA", "GLON"):  # astropy takes others for right ascension
+        raise InputError(
+            f"file: found coordinates {celestial.wcs.lngtyp} and {celestial.wcs.lattyp}; ICRS, FK5 of J2000 or galactic"
+            " ones are expected"
+        )
     frames = {"icrs": "equatorial", "fk5": "equatorial", "galactic": "galactic"}
     if frame not in frames or (frame == "fk5" and not math.isclose(celestial.wcs.equinox, 2000)):
         raise InputError(f"file: found coordinates in {frame}; ICRS, FK5 of J2000 or galactic ones are expected")
