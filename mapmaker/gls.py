@@ -12,8 +12,9 @@ the measured covariance and the residual of its diagonal (similar to Duenner et 
 identity. Phases between detectors are not modelled: a pattern that drifts over the array takes two modes. The mean of a
 scan has no weight.
 
-The noise is measured in the streams that are mapped, so every fitted number removes a little of the sky. The model is
-therefore small: one level w_b a band, one r a detector, and only modes that are significant beyond doubt.
+Noise that is measured in a scan fits that scan: a map with it loses noise, and as much of the sky, to modes that are
+there by chance. The noise of a scan is therefore measured in other scans of the observation. Each number that is
+measured adds a little noise. The model is small: one level w_b a band, one r a detector, and significant modes.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -49,6 +50,8 @@ class GlsOptions:
     eigenvalue_cut
         A mode is kept if its eigenvalue, in the correlation matrix, exceeds this times the largest eigenvalue of
         uncorrelated noise.
+    folds
+        Parts of the scans: the noise of a part is measured in the others.
     solve
         Convergence of the solution.
     """
@@ -56,12 +59,14 @@ class GlsOptions:
     band_edges_hz: tuple[float, ...] = (0.0, 0.1, 0.2, 0.4, 0.8, 1.6, np.inf)
     max_modes: int = 20
     eigenvalue_cut: float = 2.0
+    folds: int = 6
     solve: SolveOptions = field(default_factory=SolveOptions)
 
     def __post_init__(self) -> None:
         """Raise OutOfRangeError or ValueError for values out of range."""
         band_edges("band_edges_hz", self.band_edges_hz)
         whole("max_modes", self.max_modes, least=0)
+        whole("folds", self.folds, least=2, most=2**31 - 1)
         number("eigenvalue_cut", self.eigenvalue_cut, least=1)
 
 
@@ -99,13 +104,16 @@ class NoiseModel:
     def apply(self, data_mk: np.ndarray, index: np.ndarray, scan_bounds: np.ndarray) -> np.ndarray:
         """Compute ``N^-1 d``; see `NoiseWeight`. Samples without data have to be filled: they are not left out here."""
         out = np.empty_like(data_mk)
+        self._write(data_mk, scan_bounds, out)
+        return out
+
+    def _write(self, data_mk: np.ndarray, scan_bounds: np.ndarray, out: np.ndarray) -> None:
         n_right, n_det, _ = data_mk.shape
         for n, samples in _scans_of_a_length(scan_bounds):
             scans = data_mk[..., samples].reshape(n_right, n_det, -1, n).transpose(0, 2, 1, 3)
             weighed = self._weighed(dct(np.ascontiguousarray(scans), axis=-1, norm="ortho", overwrite_x=True))
             weighed = idct(weighed, axis=-1, norm="ortho", overwrite_x=True)
             out[..., samples] = weighed.transpose(0, 2, 1, 3).reshape(n_right, n_det, -1)
-        return out
 
     def _weighed(self, modes: np.ndarray) -> np.ndarray:
         """Compute N^-1 of cosine modes (n_right, n_scan, n_det, n_samp), in place."""
@@ -129,6 +137,34 @@ class NoiseModel:
         return self.inverse_white.T @ np.array(shares).T
 
 
+@dataclass(frozen=True)
+class ScanNoise:
+    """Noise of the scans of an observation, measured in other scans.
+
+    Attributes
+    ----------
+    models
+        Scan s has the model ``s % len(models)``, of the scans that it was measured with.
+    """
+
+    models: tuple[NoiseModel, ...]
+
+    def apply(self, data_mk: np.ndarray, index: np.ndarray, scan_bounds: np.ndarray) -> np.ndarray:
+        """Compute ``N^-1 d``; see `NoiseModel.apply`."""
+        out = np.empty_like(data_mk)
+        for k, model in enumerate(self.models):
+            model._write(data_mk, scan_bounds[k :: len(self.models)], out)
+        return out
+
+    def white(self, scan_bounds: np.ndarray) -> np.ndarray:
+        """Weights (n_det, n_scan) of the white noise alone; see `NoiseWeight`."""
+        n_model = len(self.models)
+        weights = np.empty((len(self.models[0].white_mk2[0]), len(scan_bounds)))
+        for k, model in enumerate(self.models):
+            weights[:, k::n_model] = model.white(scan_bounds[k::n_model])
+        return weights
+
+
 def _scans_of_a_length(scan_bounds: np.ndarray) -> Iterator[tuple[int, slice | np.ndarray]]:
     """Lengths of scans, and the samples of all scans of each; a slice where these are contiguous."""
     length = np.diff(scan_bounds, axis=1)[:, 0]
@@ -142,6 +178,22 @@ def _woodbury(inverse_white: np.ndarray, modes: np.ndarray) -> np.ndarray:
     weighted = inverse_white[:, None] * modes
     inner = np.linalg.cholesky(np.eye(modes.shape[1]) + modes.T @ weighted)
     return np.linalg.solve(inner, weighted.T).T
+
+
+def measure_scan_noise(
+    data_mk: np.ndarray, scan_bounds: np.ndarray, sample_rate_hz: float, options: GlsOptions
+) -> ScanNoise:
+    """Measure the noise of each scan of an observation in other scans; arguments and errors are those of
+    `measure_noise`.
+
+    The scans are divided into `options.folds` parts, every nth scan in one. The noise of a part is measured in all
+    others. A single scan is measured in itself.
+    """
+    scan_bounds = bounds_of_scans(scan_bounds, np.shape(data_mk)[-1])
+    n_part = max(1, min(options.folds, len(scan_bounds)))
+    part = np.arange(len(scan_bounds)) % n_part
+    others = [scan_bounds[part != k] if n_part > 1 else scan_bounds for k in range(n_part)]
+    return ScanNoise(tuple(measure_noise(data_mk, bounds, sample_rate_hz, options) for bounds in others))
 
 
 def measure_noise(
@@ -262,8 +314,8 @@ def gls_map(
     if sky_mk is not None:
         sky_mk = reals("sky_mk", sky_mk, map_shape(geometry))
 
-    def weigh(block: StreamBlock) -> NoiseModel:
+    def weigh(block: StreamBlock) -> ScanNoise:
         rest = block if sky_mk is None else subtract_sky(block, sky_mk)
-        return measure_noise(rest.data_mk, block.scan_bounds, sample_rate_hz, options)
+        return measure_scan_noise(rest.data_mk, block.scan_bounds, sample_rate_hz, options)
 
     return solved_map(geometry, observations, weigh, options=options.solve)

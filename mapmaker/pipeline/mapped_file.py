@@ -51,8 +51,8 @@ def mapped_file(
     geometry: MapGeometry,
     item: CleanedFile,
     weight: np.ndarray,
-    splits: Sequence[Split],
     *,
+    splits: Sequence[Split],
     place: tuple[int, int],
     order: dict[str, int],
 ) -> MappedFile:

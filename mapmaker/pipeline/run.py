@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -14,7 +15,7 @@ from mapmaker.pipeline.config import Config
 from mapmaker.pipeline.dropped import FILE, OFF_MAP, UNREADABLE, Dropped
 from mapmaker.pipeline.field import Field, extended, map_geometry, stated_field
 from mapmaker.pipeline.makers import iterated_maps, solved_maps, with_noise
-from mapmaker.pipeline.mapped_file import FileStore, mapped_file
+from mapmaker.pipeline.mapped_file import FileStore, MappedFile, mapped_file
 from mapmaker.pipeline.maps import Maps
 from mapmaker.pipeline.noise_spectra import NoiseSpectra, noise_spectra
 from mapmaker.pipeline.one_file import CleanedFile, UnusableFileError, clean_file
@@ -109,30 +110,47 @@ def clean_and_map(
     good = [(path, name) for path, name in zip(paths, names, strict=True) if name not in bad]
     splits = make_splits(config.jackknives, len(good), config.map.maker)
     sums = MapSums(geometry, splits, config.map.weights == "uniform", config.map.healpix_nside)
-    files, detectors, dropped = {}, [], [item for items in bad.values() for item in items]
+    outcomes = {name: _Outcome(FileRecord(name, False), (), dropped) for name, dropped in bad.items()}
     order: dict[str, int] = {}
     with TemporaryDirectory(dir=scratch, prefix="streams.") as folder:
         store = FileStore(folder)
+        add = sums.add if config.map.maker == "binned" else store.add
         for number, (path, name) in enumerate(good):
-            try:
-                item = clean_file(name, read_timestreams(path, fwhm_rad=config.input.fwhm), config)
-                weight = sample_weights(item, config.map.weights)
-                file = mapped_file(geometry, item, weight, splits, place=(number, len(good)), order=order)
-                file = with_noise(file, config)
-            except InputError as error:
-                dropped += _of_error(path, name, error)
-            else:
-                dropped += [*item.dropped, *file.off_map]
-                files[name] = _file_record(item, weight)
-                detectors += _detector_records(item, weight)
-                (sums if config.map.maker == "binned" else store).add(file)
+            put = partial(mapped_file, geometry, splits=splits, place=(number, len(good)), order=order)
+            outcomes[name] = _outcome(path, name, config, put=put, add=add)
             show("cleaning", number + 1, len(good))
-        maps = _made(config, store, sums, show) if files else None
+        used = any(item.file.used for item in outcomes.values())
+        maps = _made(config, store, sums, show) if used else None
+    dropped = tuple(row for item in outcomes.values() for row in item.dropped)
     if maps is None or not maps.map.hits.any():
         raise _nothing_left(dropped)
-    records = tuple(files.get(name, FileRecord(name, False)) for name in names)
-    spectra = noise_spectra(maps, field.fwhm_rad)
-    return Result(config, maps, field.fwhm_rad, spectra, records, tuple(detectors), tuple(dropped))
+    files = tuple(outcomes[name].file for name in names)
+    detectors = tuple(row for name in names for row in outcomes[name].detectors)
+    return Result(config, maps, field.fwhm_rad, noise_spectra(maps, field.fwhm_rad), files, detectors, dropped)
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """What became of one file, of its detectors, and what was left out of it."""
+
+    file: FileRecord
+    detectors: tuple[DetectorRecord, ...]
+    dropped: tuple[Dropped, ...]
+
+
+def _outcome(
+    path: str | Path, name: str, config: Config, *, put: Callable[..., MappedFile], add: Callable[[MappedFile], None]
+) -> _Outcome:
+    """Clean a file, put it on the map, and add it to the maps."""
+    try:
+        item = clean_file(name, read_timestreams(path, fwhm_rad=config.input.fwhm), config)
+        weight = sample_weights(item, config.map.weights)
+        file = put(item, weight)
+        add(with_noise(file, config))
+    except InputError as error:
+        return _Outcome(FileRecord(name, False), (), _of_error(path, name, error))
+    dropped = (*item.dropped, *file.off_map)
+    return _Outcome(_file_record(item, weight), tuple(_detector_records(item, weight)), dropped)
 
 
 def _made(config: Config, store: FileStore, sums: MapSums, show: Show) -> Maps:

@@ -151,10 +151,11 @@ def _observation(
     project = array.cleaned(np.eye(n_det))
     normal, added, signal, of_layers, fitted = total = np.zeros((5, spectrum.at_hz.size))
     n_scans = setup.observing.scans.n_scans
+    others = max(1, n_scans - -(-n_scans // options.folds))  # scans that the noise of a scan is measured in
     for band in noise_bands(setup.observing.scans, options.band_edges_hz):
         inside = band.holds(spectrum.nodes_hz)
         through = _through(of, spectrum.nodes_hz[inside], spectrum.weight_hz[inside])
-        n_vector = band.n_mode * n_scans
+        n_vector = band.n_mode * others
         weight, n_fitted = _weight(project @ noise.mean(band) @ project.T, n_vector, options)
         weighed = weight @ steering
         response = project.T @ weighed

@@ -14,7 +14,7 @@ import numpy as np
 from mapmaker.destriping import BaselineWeight
 from mapmaker.files import atomic_write
 from mapmaker.geometry import boresight_pixels
-from mapmaker.gls import GlsOptions, NoiseModel, measure_noise
+from mapmaker.gls import GlsOptions, NoiseModel, ScanNoise, measure_scan_noise
 from mapmaker.normal_equations import NoiseWeight, NormalBlock
 from surveysim.reduction.setup import Setup
 from surveysim.scene.map_section import MapSection
@@ -53,7 +53,7 @@ def measured_weight(setup: Setup, rows: np.ndarray | slice, data_mk: np.ndarray,
     if section.maker == "destriped":
         weight = setup.analysis.weight_of(rows)
         return BaselineWeight(np.ones(len(data_mk)) if weight is None else weight, baseline_samples(setup))
-    return measure_noise(data_mk, bounds, rate, noise_options(section))
+    return measure_scan_noise(data_mk, bounds, rate, noise_options(section))
 
 
 def baseline_samples(setup: Setup) -> int:
@@ -128,14 +128,22 @@ def _arrays(noise: Any) -> dict[str, np.ndarray]:
     """Arrays of N^-1, in single precision."""
     if isinstance(noise, BaselineWeight):
         return {"weight": noise.weight.astype(np.float32), "length": np.array(noise.length)}
-    modes = {f"modes_{b}": item.astype(np.float32) for b, item in enumerate(noise.modes_mk)}
-    return {"white": noise.white_mk2.astype(np.float32), **modes}
+    arrays = {}
+    for k, model in enumerate(noise.models):
+        arrays[f"white_{k}"] = model.white_mk2.astype(np.float32)
+        arrays |= {f"modes_{k}_{b}": item.astype(np.float32) for b, item in enumerate(model.modes_mk)}
+    return arrays
 
 
 def _noise(setup: Setup, arrays: Mapping[str, np.ndarray]) -> NoiseWeight:
     if "length" in arrays:
         return BaselineWeight(arrays["weight"], int(arrays["length"]))
-    white = arrays["white"].astype(float)
-    modes = tuple(arrays[f"modes_{b}"].astype(float) for b in range(len(white)))
-    rate = setup.observing.scans.sample_rate_hz
-    return NoiseModel(noise_options(setup.scene.map).band_edges_hz, white, modes, rate)
+    n_model = sum(name.startswith("white_") for name in arrays)
+    return ScanNoise(tuple(_noise_model(setup, arrays, k) for k in range(n_model)))
+
+
+def _noise_model(setup: Setup, arrays: Mapping[str, np.ndarray], number: int) -> NoiseModel:
+    white = arrays[f"white_{number}"].astype(float)
+    modes = tuple(arrays[f"modes_{number}_{b}"].astype(float) for b in range(len(white)))
+    edges, rate = noise_options(setup.scene.map).band_edges_hz, setup.observing.scans.sample_rate_hz
+    return NoiseModel(edges, white, modes, rate)

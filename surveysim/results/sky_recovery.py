@@ -47,8 +47,9 @@ class SkyRecovery:
     correlation : (n_bin,)
         Correlation of its map with what went in.
     recovered, recovered_error : (n_bin,)
-        Cross-spectrum of the own sky over the one that follows from the transfer function of each mode. The error is
-        the scatter of simulated skies against the transfer function of the others; NaN of a single one.
+        Cross-spectrum of the own sky, its map divided by the transfer function of each mode, over the spectrum of what
+        went in; modes have the weight of that function, squared, as noise has it after the division. The error is the
+        scatter of simulated skies against the transfer function of the others; NaN of a single one.
     total, total_error
         The same of all scored bins together.
     transfer_plane : (2 n_bin, n_bin)
@@ -178,20 +179,26 @@ def _recovered(analysis: AnalysisSetup, found: _Spectra) -> tuple[np.ndarray, np
     bins : (2, n_bin)
     total : (2,)
     """
-    own, region = len(found.cross) - 1, analysis.region
-
-    def share(sky: int, others: Sequence[int]) -> tuple[np.ndarray, float]:
-        got, expected = _in_rings(analysis, np.stack([found.cross[sky], found.transfer(others) * found.power[sky]]))
-        modes = region.rings.n_modes[region.selected]
-        sums = (np.sum(modes * item[region.selected]) for item in (got, expected))
-        return _over(got, expected), float(_over(*map(np.array, sums)))
-
-    bins, total = share(own, range(own))
+    own = len(found.cross) - 1
+    bins, total = _share(analysis, found, own, range(own))
     if own < 2:
         return np.stack([bins, np.full(bins.shape, np.nan)]), np.array([total, np.nan])
-    tests = [share(sky, [other for other in range(own) if other != sky]) for sky in range(own)]
+    tests = [_share(analysis, found, sky, [other for other in range(own) if other != sky]) for sky in range(own)]
     errors = np.std([item for item, _ in tests], axis=0, ddof=1)
     return np.stack([bins, errors]), np.array([total, np.std([item for _, item in tests], ddof=1)])
+
+
+def _share(analysis: AnalysisSetup, found: _Spectra, sky: int, others: Sequence[int]) -> tuple[np.ndarray, float]:
+    """Cross-spectrum of a sky over that of others' transfer function: of each bin (n_bin,), and of all scored ones.
+
+    Modes of the map over its transfer function are weighted by the inverse of their noise, the square of that function.
+    """
+    transfer, region = found.transfer(others), analysis.region
+    parts = np.stack([transfer * found.cross[sky], transfer**2 * found.power[sky]])
+    got, expected = _in_rings(analysis, parts)
+    modes = region.rings.n_modes[region.selected]
+    sums = (np.sum(modes * item[region.selected]) for item in (got, expected))
+    return _over(got, expected), float(_over(*map(np.array, sums)))
 
 
 def _beyond_last(analysis: AnalysisSetup, transfer: np.ndarray, last: float) -> np.ndarray:

@@ -47,8 +47,8 @@ class PartMaps:
 def part_maps(analysis: AnalysisSetup, coadds: CoAdds, split: Split, groups: Sequence[slice]) -> PartMaps:
     """Divide the sums of the parts of a split, those of each group together.
 
-    In a map with random signs the sky has the amplitude a, the sum of the signed weights over that of the weights. What
-    is left without it has the share 1 - <a^2> of the noise.
+    In a map with random signs the sky has the amplitude a, the sum of the signed weights over that of the weights, if
+    all observations filter it alike. The rest has the share 1 - <a^2> of the noise.
 
     Parameters
     ----------

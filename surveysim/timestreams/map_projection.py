@@ -23,6 +23,7 @@ MAX_CELLS = 5e7  # of the grid that an image is convolved on: 3 GB of memory
 MAX_COEFFICIENTS = 3e7  # of a HEALPix map: 2 GB of memory, minutes of computing
 _FAINTEST = 1e-6  # amplitude that the beam leaves at the highest multipole of a HEALPix map
 _ORDER = 5  # of splines
+_JUMP = 5  # between the places of neighbouring cells, over that in the middle of a plane projection
 _TOLERANCE, _ITERATIONS = 1e-8, 20  # of the analysis of a HEALPix map
 
 
@@ -152,6 +153,27 @@ def _refinement(image: SkyImage, geometry: MapGeometry) -> int:
     return 1 + 2 * max(0, math.ceil((ratio * (1 - 1e-9) - 1) / 2))
 
 
+def _fine_places(image: SkyImage, wide: MapGeometry, cells: MapGeometry, fine: int) -> tuple[np.ndarray, np.ndarray]:
+    """Column and row of an image at fine cells: linear between cells of a grid, over which projections hardly bend.
+
+    Exact where columns or rows jump, as at the seam of a map of the whole sky.
+    """
+    column, row = _pixel_places(image, wide)
+    reach = _JUMP * wide.pixel_rad / image.pixel_rad
+    if fine == 1 or any(np.abs(np.diff(place, axis=axis)).max() > reach for place in (column, row) for axis in (0, 1)):
+        return (column, row) if fine == 1 else _pixel_places(image, cells)
+    return _between(_between(column, fine).T, fine).T, _between(_between(row, fine).T, fine).T
+
+
+def _between(places: np.ndarray, fine: int) -> np.ndarray:
+    """Interpolate along the first axis, `fine` values for each, at the centres of the parts of cells."""
+    n = len(places)
+    at = (np.arange(n * fine) + 0.5) / fine - 0.5
+    first = np.clip(np.floor(at).astype(int), 0, n - 2)
+    share = (at - first)[:, None]
+    return places[first] * (1 - share) + places[first + 1] * share
+
+
 def _image_on_grid(image: SkyImage, geometry: MapGeometry, extra_rad: tuple[float, ...]) -> np.ndarray:
     from scipy.fft import irfft2, rfft2
     from scipy.ndimage import map_coordinates
@@ -159,7 +181,7 @@ def _image_on_grid(image: SkyImage, geometry: MapGeometry, extra_rad: tuple[floa
     wide, (below, left) = _widened(geometry, max(extra_rad))
     fine = _refinement(image, geometry)
     cells = MapGeometry(wide.ra0_rad, wide.dec0_rad, wide.pixel_rad / fine, wide.n_x * fine, wide.n_y * fine)
-    column, row = _pixel_places(image, cells)
+    column, row = _fine_places(image, wide, cells, fine)
     n_y, n_x = image.values.shape
     # Half a pixel beyond the outer centres still lies on the map.
     inside = (column >= -0.5) & (column <= n_x - 0.5) & (row >= -0.5) & (row <= n_y - 0.5)

@@ -13,7 +13,7 @@ from mapmaker.binning import checked_map
 from mapmaker.cleaning.responsivity import fit_responsivity
 from mapmaker.cleaning.templates import AVERAGE, subtract_average, subtract_mean, template_basis, template_streams
 from mapmaker.geometry import boresight_pixels
-from mapmaker.gls import measure_noise
+from mapmaker.gls import measure_noise, measure_scan_noise
 from mapmaker.iterative import significant, subtract_sky
 from mapmaker.spectrum import mode_psd
 from mapmaker.transfer_function import pixel_window
@@ -220,12 +220,16 @@ TABLE = [
       "sky_mk": [v for v in wrong_arrays(np.zeros((1, SIDE, SIDE))) if v is not None]}),
     (mm.GlsOptions, {"band_edges_hz": (0.0, 1.0)},
      {"band_edges_hz": [(1.0,), (1.0, 1.0), (-1.0, 1.0), (0.0, np.nan), (np.nan, 1.0), (0, np.inf, np.inf), "ab", None],
-      "max_modes": [-1, 1.5, "1"], "eigenvalue_cut": wrong_numbers(least=1)}),
+      "max_modes": [-1, 1.5, "1"], "eigenvalue_cut": wrong_numbers(least=1),
+      "folds": [1, 2.5, "2", None]}),
     (mm.DestripeOptions, {"baseline": 10}, {"baseline": [0, 1, 1.5, "2", True, None]}),
     (mm.destriped_map, {"geometry": GEOMETRY, "observations": lambda: [BLOCK], "options": mm.DestripeOptions(10)},
      {"observations": [lambda: [], lambda: [replace(BLOCK, index=INDEX + SIDE * SIDE)]]}),
     (mm.SolveOptions, {"tolerance": 1e-5, "max_iterations": 9},
      {"tolerance": wrong_numbers(above=0), "max_iterations": WRONG_SIZES}),
+    (measure_scan_noise, {"data_mk": DATA, "scan_bounds": BOUNDS, "sample_rate_hz": 10.0, "options": GLS},
+     {"data_mk": [changed(DATA, (0, 0), np.nan), DATA[0], DATA.astype(complex)],
+      "sample_rate_hz": wrong_numbers(above=0), "scan_bounds": [*WRONG_BOUNDS, np.zeros((0, 2), int)]}),
     (measure_noise, {"data_mk": DATA, "scan_bounds": BOUNDS, "sample_rate_hz": 10.0, "options": GLS},
      {"data_mk": [changed(DATA, (0, 0), np.nan), DATA[0], DATA.astype(complex)],
       "sample_rate_hz": wrong_numbers(above=0), "scan_bounds": [*WRONG_BOUNDS, np.zeros((0, 2), int)]}),

@@ -5,7 +5,7 @@ import pytest
 
 from mapmaker.destriping import BaselineWeight
 from mapmaker.geometry import MapGeometry
-from mapmaker.gls import GlsOptions, NoiseModel, band_slices, gls_map, measure_noise
+from mapmaker.gls import GlsOptions, NoiseModel, band_slices, gls_map, measure_noise, measure_scan_noise
 from mapmaker.iterative import StreamBlock
 from mapmaker.normal_equations import (
     NormalBlock,
@@ -21,7 +21,7 @@ from tests import naive
 RATE = 10.0
 EDGES = (0.0, 1.0, 2.5, np.inf)
 GEOMETRY = MapGeometry(2.3, 0.7, 1e-4, 4, 3)
-TIGHT = GlsOptions(band_edges_hz=EDGES, max_modes=2, solve=SolveOptions(1e-12))
+TIGHT = GlsOptions(band_edges_hz=EDGES, max_modes=2, folds=2, solve=SolveOptions(1e-12))
 
 
 def plane(n_det):
@@ -93,8 +93,9 @@ def test_map_is_the_dense_solution():
     result = gls_map(GEOMETRY, lambda: iter(blocks), sample_rate_hz=RATE, options=TIGHT)
     scans = []
     for block in blocks:
-        noise = measure_noise(block.data_mk, block.scan_bounds, RATE, TIGHT)
-        for start, stop in block.scan_bounds:
+        for s, (start, stop) in enumerate(block.scan_bounds):
+            # Every other scan is in the other part.
+            noise = measure_noise(block.data_mk, block.scan_bounds[1 - s % 2 :: 2], RATE, TIGHT)
             data, index = block.data_mk[:, start:stop], block.index[:, start:stop]
             scans.append((data, index, dense_inverse(noise, stop - start)))
     expected = naive.gls_map(scans, 12)
@@ -111,8 +112,8 @@ def test_even_white_noise_gives_the_binned_map():
     data = rng.standard_normal((5, 48))
     options = GlsOptions(band_edges_hz=(0.0, np.inf), max_modes=0, solve=SolveOptions(1e-12))
     scans = data.reshape(5, 4, 12)
-    # Equal measured levels of all detectors.
-    data /= np.sqrt(np.mean(np.var(scans, axis=2), axis=1))[:, None]
+    # Equal measured levels of all detectors and scans.
+    data /= np.repeat(np.std(scans, axis=2), 12, axis=1)
     result = gls_map(
         GEOMETRY, lambda: [StreamBlock(data, index, bounds, plane(5))], sample_rate_hz=RATE, options=options
     )
@@ -125,11 +126,11 @@ def test_weight_is_that_of_the_white_noise():
     """20 samples a pixel of level w, less the share of the mean, 1 / 12."""
     index = np.tile(np.arange(12, dtype=np.int32), (5, 4))
     data = np.random.default_rng(5).standard_normal((5, 48))
-    options = GlsOptions(band_edges_hz=(0.0, np.inf), max_modes=0)
+    options = GlsOptions(band_edges_hz=(0.0, np.inf), max_modes=0, folds=2)
     block = StreamBlock(data, index, np.arange(4)[:, None] * 12 + [0, 12], plane(5))
-    levels = measure_noise(data, block.scan_bounds, RATE, options).white_mk2[0]
+    levels = [model.white_mk2[0] for model in measure_scan_noise(data, block.scan_bounds, RATE, options).models]
     result = mapped(block, options)
-    np.testing.assert_allclose(result.map.weight, 4 * np.sum(1 / levels) * 11 / 12, rtol=1e-12)
+    np.testing.assert_allclose(result.map.weight, 2 * np.sum(1 / np.array(levels)) * 11 / 12, rtol=1e-12)
 
 
 def test_a_sky_known_beforehand_does_not_disturb_the_noise():
@@ -240,6 +241,7 @@ def test_a_band_without_modes():
         {"band_edges_hz": (-1.0, 1.0)},
         {"max_modes": -1},
         {"eigenvalue_cut": 0.9},
+        {"folds": 1},
     ],
 )
 def test_options_out_of_range(values):
@@ -249,15 +251,20 @@ def test_options_out_of_range(values):
 
 def linear_map(item):
     """Map (12, n_det n_samp) of every sample alone, less its mean over the map."""
-    units = np.eye(item.index.size).reshape(-1, *item.index.shape)
-    right, weight, hits = np.zeros((len(units), 12)), np.zeros(12), np.zeros(12, np.int64)
-    add_right_side(item, units, right)
+    return solved(item, np.eye(item.index.size).reshape(-1, *item.index.shape)).T
+
+
+def solved(item, streams):
+    """Maps (n, 12) of streams (n, n_det, n_samp), less their means."""
+    streams = streams.reshape(-1, *item.index.shape)
+    right, weight, hits = np.zeros((len(streams), 12)), np.zeros(12), np.zeros(12, np.int64)
+    add_right_side(item, streams, right)
     add_diagonal(item, weight, hits)
     found = solve_normal(
         normal_matrix(lambda: [item], np.float64), right, weight.reshape(3, 4), options=SolveOptions(1e-12)
     )
     assert found.converged.all()
-    return (found.sky_mk - found.sky_mk.mean(axis=1, keepdims=True)).T
+    return found.sky_mk - found.sky_mk.mean(axis=1, keepdims=True)
 
 
 def test_no_unbiased_linear_map_has_less_noise():
@@ -297,3 +304,43 @@ def test_a_sky_without_noise_comes_back():
     bounds = np.arange(4)[:, None] * 15 + [0, 15]
     found = mapped(StreamBlock(sky[index], index, bounds, plane(6))).map.signal_mk.ravel()
     np.testing.assert_allclose(found - found.mean(), sky - sky.mean(), atol=1e-8)
+
+
+def test_the_noise_of_a_scan_is_measured_in_others():
+    """Of three parts; the streams of a scan do not change its own model, and a single scan has its own."""
+    rng = np.random.default_rng(16)
+    data, bounds = rng.standard_normal((6, 210)), np.arange(7)[:, None] * 30 + [0, 30]
+    options = GlsOptions(EDGES, folds=3)
+    before = measure_scan_noise(data, bounds, RATE, options).models
+    expected = measure_noise(data, bounds[[0, 2, 3, 5, 6]], RATE, options)
+    np.testing.assert_array_equal(before[1].white_mk2, expected.white_mk2)
+    changed = data.copy()
+    changed[:, 30:60] *= 2
+    after = measure_scan_noise(changed, bounds, RATE, options).models
+    same = [np.array_equal(a.white_mk2, b.white_mk2) for a, b in zip(before, after, strict=True)]
+    assert same == [False, True, False]
+    assert len(measure_scan_noise(data, bounds[:1], RATE, options).models) == 1
+
+
+@pytest.mark.slow
+def test_noise_of_other_scans_takes_no_sky():
+    """Noise of its own scan fits the sky in it. 30 observations; errors are from their scatter."""
+    rng, kept = np.random.default_rng(17), []
+    index = np.array([rng.permutation(12) for _ in range(6 * 8)]).reshape(6, 96).astype(np.int32)
+    bounds, sky = np.arange(8)[:, None] * 12 + [0, 12], rng.standard_normal(12) * 0.1
+    sky -= sky.mean()
+    for _ in range(30):
+        noise = rng.standard_normal(index.shape)
+        maps = []
+        for own in (True, False):
+            pair = []
+            for data in (noise + sky[index], noise - sky[index]):
+                options = GlsOptions((0.0, np.inf), max_modes=2, eigenvalue_cut=1.0, folds=4)
+                found = measure_noise(data, bounds, RATE, options)
+                model = found if own else measure_scan_noise(data, bounds, RATE, options)
+                pair.append(solved(NormalBlock(index, bounds, model), data))
+            maps.append((pair[0] - pair[1])[0] @ sky / (2 * sky @ sky))
+        kept.append(maps)
+    mean, error = np.mean(kept, axis=0), np.std(kept, axis=0) / np.sqrt(30)
+    assert mean[0] < 1 - 5 * error[0]
+    assert abs(mean[1] - 1) < 4 * error[1]

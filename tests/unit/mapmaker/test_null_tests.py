@@ -48,8 +48,8 @@ def test_probabilities_are_uniform_with_few_realizations():
 
 @pytest.mark.parametrize("common", [0.0, 0.3])
 def test_null_tests_of_few_modes_are_uniform(coupling, common):
-    """400 tests of correlated powers of 10 to 20 modes, with 15 realizations that may have a part in common."""
-    rng, n = np.random.default_rng(2), 400
+    """200 tests of powers of 10 to 20 modes, with 15 realizations that may have a part in common."""
+    rng, n = np.random.default_rng(2), 200
     degrees = np.arange(10, 20, 2)
     shares = np.rint(degrees * np.array([common, 1 - common])[:, None])  # of modes that all realizations have
 

@@ -23,7 +23,9 @@ def config(maker, cleaning="none", **options):
 def blocks(items, geometry, settings):
     for k, item in enumerate(items):
         cleaned = clean_file(f"{k}", item, settings)
-        file = mapped_file(geometry, cleaned, sample_weights(cleaned, "detector"), [], place=(k, len(items)), order={})
+        file = mapped_file(
+            geometry, cleaned, sample_weights(cleaned, "detector"), splits=[], place=(k, len(items)), order={}
+        )
         yield mm.StreamBlock(cleaned.cleaned_mk, file.index, cleaned.bounds, cleaned.streams.focal_plane)
 
 

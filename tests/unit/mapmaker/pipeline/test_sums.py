@@ -56,7 +56,7 @@ def sums_of(config, items, nside=None, uniform=False):
     for k, item in enumerate(items):
         cleaned = clean_file(f"{k}", item, config)
         weight = sample_weights(cleaned, "uniform" if uniform else "detector")
-        sums.add(mapped_file(GEOMETRY, cleaned, weight, sums.splits, place=(k, len(items)), order={}))
+        sums.add(mapped_file(GEOMETRY, cleaned, weight, splits=sums.splits, place=(k, len(items)), order={}))
     return sums
 
 
@@ -72,7 +72,7 @@ def test_a_sky_without_noise_cancels_in_all_halves():
         cleaned = clean_file(f"{k}", item, NONE)
         cleaned = replace(cleaned, cleaned_mk=item.data_mk)  # with its means
         weight = np.linspace(1, 2 + k, N_DET)
-        sums.add(mapped_file(GEOMETRY, cleaned, weight, sums.splits, place=(k, 4), order={}))
+        sums.add(mapped_file(GEOMETRY, cleaned, weight, splits=sums.splits, place=(k, 4), order={}))
     assert len(sums.splits) == 6
     for k in range(6):
         noise = sums.noise_map(k)
