@@ -61,7 +61,8 @@ def check_cost(image: SkyImage, path: Path, geometry: MapGeometry, fwhm_rad: tup
     if cells > MAX_CELLS:
         side = math.degrees(_finest_side(image, geometry)) * 3600
         raise InputError(
-            f"file: {path}: found pixels of {side:.3g} arcsec, {cells:.2g} of them in the field of the scans; {MAX_CELLS:.0e} or fewer are expected: a map averaged over larger pixels"
+            f"file: {path}: found pixels of {side:.3g} arcsec, {cells:.2g} of them in the field of the scans;"
+            f" {MAX_CELLS:.0e} or fewer are expected: a map averaged over larger pixels"
         )
 
 

@@ -98,6 +98,24 @@ def test_ecliptic_images_are_refused(tmp_path):
         read_sky_image(SkyMap(file=tmp_path / "map.fits"))
 
 
+def test_values_of_images(tmp_path):
+    """Infinity and blanks are no values; a cut file and a plane of Stokes Q are refused."""
+    header = image_wcs(20.0, 60).to_header()
+    header["BUNIT"] = "K_RJ"
+    values, path = np.ones((60, 60)), tmp_path / "map.fits"
+    values[3, 4:7] = np.inf, -1.6375e30, np.nan
+    fits.writeto(path, values, header)
+    found = read_sky_image(SkyMap(file=path))
+    assert np.isnan(found.values[3, 4:7]).all() and np.nansum(found.values) == 3597
+    (tmp_path / "cut.fits").write_bytes(path.read_bytes()[:20_000])
+    with pytest.raises(InputError, match=r"cut\.fits: values can't be read"):
+        read_sky_image(SkyMap(file=tmp_path / "cut.fits"))
+    header.update({"CTYPE3": "STOKES", "CRPIX3": 1, "CRVAL3": 2, "CDELT3": 1})
+    fits.writeto(tmp_path / "q.fits", np.ones((2, 60, 60)), header)
+    with pytest.raises(InputError, match="found Stokes parameter 2 in the first plane; 1"):
+        read_sky_image(SkyMap(file=tmp_path / "q.fits"))
+
+
 def test_own_beam_of_a_map_counts():
     """A source of 40 arcsec in a map, through a beam of 60 arcsec, is 60 arcsec wide."""
     wcs = image_wcs(12.0, 320)
