@@ -79,7 +79,7 @@ SCENES = {
             ('algorithm = "average"', 'algorithm = "average"\ncompare = ["planar"]'),
             ("[map]", "[map]\nhealpix_nside = 1024"),
         ),
-        ["atmosphere", "excess", "photon", "sky", *SCORED, "HEALPix"],
+        ["atmosphere", "excess", "photon", "sky", "sky in and out", *SCORED, "HEALPix"],
         FIXED | NO_SITE,
     ),
     "white noise": (
@@ -104,12 +104,12 @@ SCENES = {
             ("rings = 2", "rings = 3"),
             ("mask_separation_f_lambda = 1.3\n", ""),
         ),
-        ["atmosphere", "excess", "photon", "sky", *SCORED[:-1]],
+        ["atmosphere", "excess", "photon", "sky", "sky in and out", *SCORED[:-1]],
         {"forecast": "cleaning by polynomial is no projection"} | FIXED | NO_SITE | NO_CHOICE | NO_HEALPIX,
     ),
     "signal alone scored": (
         without_sections(edited(('algorithm = "average"', 'algorithm = "none"')), "atmosphere", "photon", "excess"),
-        ["sky", *SCORED],
+        ["sky", "sky in and out", *SCORED],
         NO_AIR | NO_EXCESS | NO_PHOTON | FIXED | NO_SITE | NO_OVERLAP | NO_CHOICE | NO_HEALPIX,
     ),
 }
