@@ -23,7 +23,6 @@ from surveysim.scene.sky import SkyCluster
 from surveysim.survey.coadds import CoAdds, jackknife_signs, noise_weights
 from surveysim.telescope.diffraction import effective_area_m2
 from surveysim.timestreams.fixed_sky import peak_mk_per_jy
-from surveysim.timestreams.sky_maps import source_peak_mk
 from surveysim.timestreams.sky_sources import band_flux_jy, profile_in_beam
 
 MOST_SOURCES = 200  # of a scene
@@ -159,6 +158,8 @@ def _order(source: _Source) -> tuple[bool, float]:
 
 def _sources(scene: Scene) -> Iterator[_Source]:
     """All sources of a scene; the flux of a cluster is that of its centre in the beam, for their order alone."""
+    from surveysim.timestreams.sky_maps import source_peak_mk
+
     band, area_m2, of_jy = scene.instrument.band, effective_area_m2(scene), peak_mk_per_jy(scene)
     for number, item in enumerate(scene.sky.point_sources):
         flux_jy = source_peak_mk(item, band, area_m2) / of_jy
