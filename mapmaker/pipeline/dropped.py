@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapmaker.errors import InsufficientDataError
+
 FILE, SCAN, DETECTOR, PART, SAMPLES = "file", "scan", "detector", "detector in scan", "samples"
 
 # Reasons, in the order in which they are looked for.
@@ -81,6 +83,14 @@ class Dropped:
     scan: int = -1
     samples: int = 0
     detail: str = ""
+
+
+class UnusableFileError(InsufficientDataError):
+    """A file that nothing is left of; `dropped` has the reason, and what was left out before."""
+
+    def __init__(self, dropped: tuple[Dropped, ...]) -> None:
+        super().__init__(f"{dropped[-1].file}: {dropped[-1].reason} ({dropped[-1].detail})")
+        self.dropped = dropped
 
 
 def dropped_columns(items: Sequence[Dropped]) -> dict[str, np.ndarray]:

@@ -7,6 +7,7 @@ import numpy as np
 from mapmaker.errors import OutOfRangeError
 from mapmaker.geometry import MapGeometry, fast_length, mean_direction, plane_directions, plane_offsets
 from mapmaker.pipeline.config import MapSection
+from mapmaker.pipeline.dropped import FILE, NO_SCAN, OFF_MAP, Dropped, UnusableFileError
 from mapmaker.pipeline.usable import in_scans
 from mapmaker.timestreams import Timestreams
 
@@ -35,16 +36,23 @@ class Field:
     fwhm_rad: float
 
 
-def extended(field: Field | None, streams: Timestreams, section: MapSection) -> Field | None:
-    """Extend a field by the scans of a file; None without a scan."""
+def extended(field: Field | None, name: str, streams: Timestreams, section: MapSection) -> Field:
+    """Extend a field by the scans of a file.
+
+    Raises
+    ------
+    UnusableFileError
+        For a file without scans, or with scans that are too far from the field.
+    """
     inside = in_scans(streams.scan_bounds, len(streams.time_s))
     if not inside.any():
-        return field
+        raise UnusableFileError((Dropped(name, FILE, NO_SCAN, detail="it has none"),))
     ra, dec = streams.ra_rad[inside], streams.dec_rad[inside]
     centre = field.centre_rad if field else section.centre or mean_direction(ra, dec)
     offsets = plane_offsets(MapGeometry(*centre, 1e-6, 1, 1), ra, dec)
     if not np.isfinite(offsets).all():
-        raise OutOfRangeError("its scans are 90 deg or more from the centre of the map")
+        detail = "its scans are 90 deg or more from the centre of the map"
+        raise UnusableFileError((Dropped(name, FILE, OFF_MAP, detail=detail),))
     plane = streams.focal_plane
     reach = float(np.hypot(plane.x_rad, plane.y_rad).max())
     east, north = offsets

@@ -12,7 +12,7 @@ from mapmaker.destriping import measure_baseline_weight
 from mapmaker.errors import InsufficientDataError
 from mapmaker.files import one_line
 from mapmaker.geometry import MapGeometry
-from mapmaker.gls import GlsOptions, measure_noise
+from mapmaker.gls import GlsOptions, measure_scan_noise
 from mapmaker.iterative import IterationOptions, StreamBlock, iterate_map, subtract_sky
 from mapmaker.normal_equations import (
     NormalBlock,
@@ -23,10 +23,10 @@ from mapmaker.normal_equations import (
     solve_normal,
 )
 from mapmaker.pipeline.config import Config
-from mapmaker.pipeline.dropped import CLEANING, FILE, Dropped
+from mapmaker.pipeline.dropped import CLEANING, FILE, Dropped, UnusableFileError
 from mapmaker.pipeline.mapped_file import FileStore, MappedFile
 from mapmaker.pipeline.maps import Maps
-from mapmaker.pipeline.one_file import UnusableFileError, cleaning_steps
+from mapmaker.pipeline.one_file import cleaning_steps
 from mapmaker.pipeline.sums import MapSums
 
 Tell = Callable[[int], None]  # told the number of passes
@@ -139,7 +139,7 @@ def with_noise(file: MappedFile, config: Config) -> MappedFile:
         if maker == "maximum_likelihood":
             section = config.map.maximum_likelihood
             options = GlsOptions((0.0, *section.bands, np.inf), section.max_modes)
-            return replace(file, noise=measure_noise(item.cleaned_mk, item.bounds, 1 / _step_s(file), options))
+            return replace(file, noise=measure_scan_noise(item.cleaned_mk, item.bounds, 1 / _step_s(file), options))
     except InsufficientDataError as error:
         dropped = Dropped(item.name, FILE, CLEANING, detail=one_line(error))
         raise UnusableFileError((*item.dropped, dropped)) from None

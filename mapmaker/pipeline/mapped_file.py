@@ -38,6 +38,12 @@ class MappedFile:
     noise: NoiseWeight | None = None
 
     @property
+    def samples(self) -> int:
+        """Number of samples in the map."""
+        pairs = zip(self.item.bounds, self.weight.T, strict=True)
+        return sum(int(np.sum((self.index[:, a:b] >= 0) & (weight > 0)[:, None])) for (a, b), weight in pairs)
+
+    @property
     def off_map(self) -> tuple[Dropped, ...]:
         """What looks beyond the edge of the map."""
         item, missed = self.item, 0

@@ -28,6 +28,7 @@ from mapmaker.pipeline.dropped import (
     SCAN,
     UNITS,
     Dropped,
+    UnusableFileError,
 )
 from mapmaker.pipeline.usable import Usable, in_scans, leave_out, mostly_lost, usable_data, without_bad_scans
 from mapmaker.timestreams import Timestreams
@@ -35,14 +36,6 @@ from mapmaker.timestreams import Timestreams
 _MOST_PLACES = 10_000  # along a side of the map of places
 _RMS_MK = 1e-8, 1e8  # of cleaned streams: beyond it they are hardly in mK
 _CIRCLE = 101  # pixels across a spared circle
-
-
-class UnusableFileError(InsufficientDataError):
-    """A file that nothing is left of; `dropped` has the reason, and what was left out before."""
-
-    def __init__(self, dropped: tuple[Dropped, ...]) -> None:
-        super().__init__(f"{dropped[-1].file}: {dropped[-1].reason} ({dropped[-1].detail})")
-        self.dropped = dropped
 
 
 @dataclass(frozen=True)
@@ -100,9 +93,9 @@ def clean_file(name: str, streams: Timestreams, config: Config) -> CleanedFile:
     if (counts > 1).any():
         raise UnusableFileError((Dropped(name, FILE, NAMES, detail=str(values[counts > 1][0])),))
     state = usable_data(name, streams, labels, config.flags)
+    cleaned = _clean(streams, state, config)
     spared, place = spared_samples(streams, config.flags), _places(streams)
     glitches = np.zeros(streams.data_mk.shape, bool)
-    cleaned = _clean(streams, state, config)
     for _ in range(config.flags.passes):
         after, new = _tested(cleaned, streams, state, spared=spared, place=place, flags=config.flags)
         if after is state:

@@ -12,13 +12,13 @@ from mapmaker.errors import InputError, InsufficientDataError
 from mapmaker.files import one_line
 from mapmaker.formats import read_timestreams
 from mapmaker.pipeline.config import Config
-from mapmaker.pipeline.dropped import FILE, OFF_MAP, UNREADABLE, Dropped
+from mapmaker.pipeline.dropped import FILE, OFF_MAP, UNREADABLE, Dropped, UnusableFileError
 from mapmaker.pipeline.field import Field, extended, map_geometry, stated_field
 from mapmaker.pipeline.makers import iterated_maps, solved_maps, with_noise
 from mapmaker.pipeline.mapped_file import FileStore, MappedFile, mapped_file
 from mapmaker.pipeline.maps import Maps
 from mapmaker.pipeline.noise_spectra import NoiseSpectra, noise_spectra
-from mapmaker.pipeline.one_file import CleanedFile, UnusableFileError, clean_file
+from mapmaker.pipeline.one_file import CleanedFile, clean_file
 from mapmaker.pipeline.splits import make_splits
 from mapmaker.pipeline.sums import MapSums
 
@@ -122,8 +122,10 @@ def clean_and_map(
         used = any(item.file.used for item in outcomes.values())
         maps = _made(config, store, sums, show) if used else None
     dropped = tuple(row for item in outcomes.values() for row in item.dropped)
-    if maps is None or not maps.map.hits.any():
+    if maps is None:
         raise _nothing_left(dropped)
+    if not maps.map.hits.any():
+        raise InsufficientDataError(f'maker "{config.map.maker}": its last cleaning discarded all scans')
     files = tuple(outcomes[name].file for name in names)
     detectors = tuple(row for name in names for row in outcomes[name].detectors)
     return Result(config, maps, field.fwhm_rad, noise_spectra(maps, field.fwhm_rad), files, detectors, dropped)
@@ -146,6 +148,9 @@ def _outcome(
         item = clean_file(name, read_timestreams(path, fwhm_rad=config.input.fwhm), config)
         weight = sample_weights(item, config.map.weights)
         file = put(item, weight)
+        if not file.samples:
+            row = Dropped(name, FILE, OFF_MAP, detail="no good sample is on the map")
+            raise UnusableFileError((*item.dropped, *file.off_map, row))
         add(with_noise(file, config))
     except InputError as error:
         return _Outcome(FileRecord(name, False), (), _of_error(path, name, error))
@@ -180,7 +185,7 @@ def _field(
     for number, (path, name) in enumerate(zip(paths, names, strict=True)):
         try:
             streams = read_timestreams(path, fwhm_rad=config.input.fwhm)
-            field = stated_field(streams, config.map) if stated else extended(field, streams, config.map)
+            field = stated_field(streams, config.map) if stated else extended(field, name, streams, config.map)
         except InputError as error:
             bad[name] = _of_error(path, name, error)
         show("reading", number + 1, len(paths))
@@ -194,8 +199,7 @@ def _field(
 def _of_error(path: str | Path, name: str, error: InputError) -> tuple[Dropped, ...]:
     if isinstance(error, UnusableFileError):
         return error.dropped
-    reason = OFF_MAP if "from the centre of the map" in str(error) else UNREADABLE
-    return (Dropped(name, FILE, reason, detail=one_line(error).removeprefix(f"{path}: ")),)
+    return (Dropped(name, FILE, UNREADABLE, detail=one_line(error).removeprefix(f"{path}: ")),)
 
 
 def _nothing_left(dropped: Sequence[Dropped]) -> InsufficientDataError:

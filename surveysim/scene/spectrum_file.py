@@ -79,8 +79,16 @@ def _kind(header: list[str], n_column: int) -> SpectrumKind:
     if any(map(_CLASS.match, header)):
         return "class"
     if n_column == 2:
+        _check_two_columns(header)
         return "two_columns"
     raise InputError(f"found {n_column} columns without a header of CAMB or CLASS, and no 'spectrum_kind'")
+
+
+def _check_two_columns(header: list[str]) -> None:
+    """Raise InputError for a header of C_l itself, without a factor l (l + 1)."""
+    text = re.sub(r"[\s*]", "", " ".join(header)).lower()
+    if re.search(r"c_?\{?(l|ell)\b", " ".join(header).lower()) and not re.search(r"(l|ell)\+1", text):
+        raise InputError("found a header of C_l; l (l + 1) C_l / 2 pi in uK2 is needed, or C_l in ECSV")
 
 
 def _rows(lines: list[str]) -> np.ndarray:

@@ -59,9 +59,10 @@ def check_cost(image: SkyImage, path: Path, geometry: MapGeometry, fwhm_rad: tup
     wide, _ = _widened(geometry, max(fwhm_rad))
     cells = wide.n_x * wide.n_y * _refinement(image, geometry) ** 2
     if cells > MAX_CELLS:
+        side = math.degrees(_finest_side(image, geometry)) * 3600
         raise InputError(
-            f"file: {path}: found pixels of {math.degrees(image.pixel_rad) * 3600:.3g} arcsec, {cells:.2g} of them in"
-            f" the field of the scans; {MAX_CELLS:.0e} or fewer are expected: a map averaged over larger pixels"
+            f"file: {path}: found pixels of {side:.3g} arcsec, {cells:.2g} of them in the field of the scans;"
+            f" {MAX_CELLS:.0e} or fewer are expected: a map averaged over larger pixels"
         )
 
 
@@ -108,10 +109,15 @@ def _rotation(frame: str) -> np.ndarray:
     return turned.cartesian.xyz.value
 
 
+def _unit_vectors(longitude_rad: np.ndarray, latitude_rad: np.ndarray) -> np.ndarray:
+    cos = np.cos(latitude_rad)
+    return np.stack([cos * np.cos(longitude_rad), cos * np.sin(longitude_rad), np.sin(latitude_rad)])
+
+
 def _vectors(frame: str, geometry: MapGeometry) -> np.ndarray:
     """Unit vectors (3, n_y, n_x) of the cells of a grid in a frame."""
     ra, dec = plane_directions(geometry, *pixel_centres(geometry))
-    vectors = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    vectors = _unit_vectors(ra, dec)
     return vectors if frame == "equatorial" else np.tensordot(_rotation(frame), vectors, axes=1)
 
 
@@ -127,12 +133,24 @@ def _pixel_places(image: SkyImage, geometry: MapGeometry) -> tuple[np.ndarray, n
     return image.wcs.world_to_pixel_values(np.degrees(longitude), 90 - np.degrees(colatitude))
 
 
+def _finest_side(image: SkyImage, geometry: MapGeometry) -> float:
+    """Smallest side [rad] of the pixels of an image in a grid: those of a cylinder are narrow far from its equator."""
+    few = replace(geometry, pixel_rad=geometry.pixel_rad * max(geometry.n_y, geometry.n_x) / 3, n_y=3, n_x=3)
+    column, row = _pixel_places(image, few)
+    sides = []
+    for across, along in ((0.5, 0.0), (0.0, 0.5)):
+        ends = (image.wcs.pixel_to_world_values(column + s * across, row + s * along) for s in (-1, 1))
+        first, last = (_unit_vectors(*np.radians(end)) for end in ends)
+        sides.append(np.sqrt(np.sum((first - last) ** 2, axis=0)))
+    return float(np.fmin.reduce(np.ravel(sides), initial=image.pixel_rad))  # NaN where the projection has no place
+
+
 # ---------------------------------------------------------------- images
 
 
 def _refinement(image: SkyImage, geometry: MapGeometry) -> int:
     """Cells of the convolution along the side of a cell of the grid: odd, so that they share their centres."""
-    ratio = geometry.pixel_rad / image.pixel_rad / FINEST_CELL
+    ratio = geometry.pixel_rad / _finest_side(image, geometry) / FINEST_CELL
     return 1 + 2 * max(0, math.ceil((ratio * (1 - 1e-9) - 1) / 2))
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 MAX_BYTES = 4e9
 MAX_NSIDE = 8192
-_NO_VALUE = -1e30  # of HEALPix files: -1.6375e30 marks a pixel without value
+_NO_VALUE = 1e30  # larger numbers mark pixels without a value, as -1.6375e30 in HEALPix files
 _CIRCULAR = 0.01  # largest relative difference of the axes of a circular beam
 _FRAMES = {"C": "equatorial", "Q": "equatorial", "G": "galactic", "E": "ecliptic"}
 
@@ -74,7 +74,8 @@ def read_sky_image(section: SkyMap) -> SkyImage:
         values: one line with the key and the file.
     """
     try:
-        with _opened(section.file) as file:
+        # Astropy warns of keywords that it repairs, and of files that are refused below.
+        with warnings.catch_warnings(action="ignore"), _opened(section.file) as file:
             return _image(file, section)
     except InputError as error:
         missing = "" if os.path.lexists(section.file) else "no such file in the folder of the scene"
@@ -98,6 +99,7 @@ def _image(file: Any, section: SkyMap) -> SkyImage:
     values, notes, frame, wcs = _healpix(hdu, section) if _is_healpix(hdu) else _plane(hdu, section)
     unit = _unit(hdu, section)
     fwhm_rad = _own_beam(hdu, section, unit)
+    values = np.where(np.abs(values) < _NO_VALUE, values, np.nan)
     if not np.isfinite(values).any():
         raise InputError("file: found no pixel with a value; a map is expected")
     return SkyImage(values, wcs, frame, unit, fwhm_rad, notes)
@@ -127,16 +129,20 @@ def _plane(hdu: Any, section: SkyMap) -> tuple[np.ndarray, tuple[str, ...], str,
     if section.frame is not None:
         raise InputError(f"frame: found {section.frame!r} for an image, which has its own; none is expected")
     try:
-        with warnings.catch_warnings(action="ignore"):  # about keywords that are repaired
-            whole = WCS(hdu.header)
-            celestial = whole.celestial
-            frame = wcs_to_celestial_frame(celestial).name
+        whole = WCS(hdu.header)
+        celestial = whole.celestial
+        frame = wcs_to_celestial_frame(celestial).name
     except Exception as error:  # astropy and wcslib raise many types of errors
         raise InputError(
-            f"found coordinates that can't be read ({one_line(error)}); celestial ones are expected"
+            f"file: found coordinates that can't be read ({one_line(error)}); celestial ones are expected"
         ) from None
     if not whole.has_celestial or celestial.naxis != 2:
         raise InputError("file: found no celestial coordinates in the header; an image with a WCS is expected")
+    if celestial.wcs.lngtyp not in ("RA", "GLON"):  # astropy takes others for right ascension
+        raise InputError(
+            f"file: found coordinates {celestial.wcs.lngtyp} and {celestial.wcs.lattyp}; ICRS, FK5 of J2000 or galactic"
+            " ones are expected"
+        )
     frames = {"icrs": "equatorial", "fk5": "equatorial", "galactic": "galactic"}
     if frame not in frames or (frame == "fk5" and not math.isclose(celestial.wcs.equinox, 2000)):
         raise InputError(f"file: found coordinates in {frame}; ICRS, FK5 of J2000 or galactic ones are expected")
@@ -144,9 +150,16 @@ def _plane(hdu: Any, section: SkyMap) -> tuple[np.ndarray, tuple[str, ...], str,
     return values, notes, frames[frame], celestial
 
 
+def _data(hdu: Any) -> np.ndarray:
+    try:
+        return hdu.data
+    except (OSError, ValueError, TypeError) as error:  # of a file that ends too early
+        raise InputError(f"file: values can't be read ({one_line(error)}); a map is expected") from None
+
+
 def _first_planes(hdu: Any, whole: Any) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return the image (n_y, n_x) of the first plane along other axes; only those of polarization may have more."""
-    values, notes = np.asarray(hdu.data, dtype=float), []
+    values, notes = np.asarray(_data(hdu), dtype=float), []
     places = {whole.naxis - 1 - whole.wcs.lng, whole.naxis - 1 - whole.wcs.lat}
     if whole.wcs.lng > whole.wcs.lat:
         raise InputError("file: found latitude on the first axis; longitude is expected there")
@@ -158,6 +171,12 @@ def _first_planes(hdu: Any, whole: Any) -> tuple[np.ndarray, tuple[str, ...]]:
             )
         if values.shape[axis] > 1:
             notes.append(f"polarization is ignored: the first of {values.shape[axis]} planes is taken")
+        number = values.ndim - 1 - axis
+        first = whole.wcs.crval[number] + (1 - whole.wcs.crpix[number]) * whole.wcs.cdelt[number]
+        if kind == "STOKES" and round(first) != 1:
+            raise InputError(
+                f"file: found Stokes parameter {first:g} in the first plane; 1, the intensity, is expected"
+            )
         values = values.take(0, axis=axis)
     return values, tuple(notes)
 
@@ -176,7 +195,6 @@ def _healpix(hdu: Any, section: SkyMap) -> tuple[np.ndarray, tuple[str, ...], st
     names = _columns(hdu)
     notes = (f"polarization is ignored: the column {names[0]!r} is taken of {', '.join(names)}",) if names[1:] else ()
     values = _pixels(hdu, names[0], nside)
-    values[values < _NO_VALUE] = np.nan
     if ordering != "RING":
         from ducc0.healpix import Healpix_Base
 
@@ -194,10 +212,10 @@ def _columns(hdu: Any) -> list[str]:
 
 def _pixels(hdu: Any, name: str, nside: int) -> np.ndarray:
     """Values (n_pixel,) in the order of the file; NaN of pixels that a file of a part of the sky lacks."""
-    found, n_pixel = np.asarray(hdu.data[name], dtype=float).ravel(), 12 * nside**2
+    found, n_pixel = np.asarray(_data(hdu)[name], dtype=float).ravel(), 12 * nside**2
     if str(hdu.header.get("INDXSCHM", "")).strip().upper() == "EXPLICIT" or "PIXEL" in hdu.columns.names:
         values = np.full(n_pixel, np.nan)
-        places = np.asarray(hdu.data["PIXEL"], dtype=np.int64).ravel()
+        places = np.asarray(_data(hdu)["PIXEL"], dtype=np.int64).ravel()
         if len(places) and (places.min() < 0 or places.max() >= n_pixel):
             raise InputError(
                 f"file: column 'PIXEL': found {places.min()} to {places.max()}; 0 to {n_pixel - 1} is expected"

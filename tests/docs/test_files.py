@@ -113,7 +113,8 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
     sweep = _sweep(folder)
     return {
-        "A run": [_rich_run(folder), _unscored_run(folder), _run_with_spectra(folder), folder / "points" / "0"],
+        "A run": [_rich_run(folder), _unscored_run(folder), _run_with_spectra(folder), *_runs_of_makers(folder)]
+        + [folder / "points" / "0"],
         "A camera of several bands": [_bands(folder)],
         "A sweep": [sweep],
         "A budget": [*_budget(folder)],
@@ -152,6 +153,23 @@ def _run_with_spectra(folder):
     keys = {"observations": 16, "schedule.nights": 4, "sky.point_sources": []}
     surveysim.run(surveysim.load_scene(scene, keys), folder / "splits")
     return folder / "splits"
+
+
+def _runs_of_makers(folder):
+    """Runs by other map-makers, one of them with lost samples and one with a bright source."""
+    path = _scene(folder, "makers", SMALL_SCENE.replace("mask_separation_f_lambda = 1.3\n", ""))
+    few = {"observations": 16, "score.noise_only_sets": [], "score.jackknives": 2}
+    lost = {"dropped_samples.rate": "60 / h", "dropped_samples.length": "1 s", "dropped_samples.shared": "array"}
+    bright = {"sky.point_sources": [{"ra": "08h49m12s", "dec": "+44d50m24s", "peak": "1 K"}]}
+    settings = {
+        "destriped": {"map.destriped.baseline": "2 s", **lost},
+        "maximum_likelihood": {"map.maximum_likelihood.band_edges": "[0.5, 1.5] Hz"},
+        "iterative": bright,
+    }
+    for maker, keys in settings.items():
+        scene = surveysim.load_scene(path, {"map.maker": maker, **few, **keys})
+        surveysim.run(scene, folder / maker, figures=False)
+    return [folder / maker for maker in settings]
 
 
 def _bands(folder):

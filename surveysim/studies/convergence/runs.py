@@ -60,6 +60,8 @@ def run_task(task: Task) -> Run:
     before, start = peak_bytes() / 1e6, perf_counter()
     try:
         setup = prepare(task.scene)
+        if (maker := task.scene.map.maker) != "binned":
+            raise InputError(f"map.maker: found {maker!r}; 'binned' maps can be scored before the last observation")
         # Compiles, and makes factors and expectations over weather: no part of the time that an observation takes.
         observe(setup, 0, with_signal_sims=True)
         known_expectations(setup)

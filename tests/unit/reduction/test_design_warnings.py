@@ -49,9 +49,16 @@ TRACK = {f"scan.{key}": None for key in ("speed", "scans", "turnaround", "step",
 TRACK |= {"scan.pattern": "track", "scan.chunk": "10 s", "score": None}
 TRACK_TIMES = {"long.csv": 50.1, "short.csv": 49.9}
 SCORED_TRACK = {key: value for key, value in TRACK.items() if key != "score"} | {"scan.track_table": "short.csv"}
+SPLITS = {"spectra.splits": ["night"], "spectra.parts": 2, "spectra.ell_bin": 2000, "spectra.realizations": 7}
+SPLITS |= {"observations": 16}
 # The small scene: samples 24 arcsec apart, a beam of 60 and pixels of 30; scans of 24 arcmin, 9 arcmin across, a dither
 # of 2 arcmin, and an array of 2.67 arcmin.
 CASES = {
+    "realizations": (
+        SPLITS | {"spectra.realizations": 6},
+        SPLITS,
+        "spectra.realizations: 6 realizations do not measure the covariance of 4 bins; 7 or more are needed for a chi",
+    ),
     # Bins of 6 s above 2.5 Hz begin at 2.67 Hz: 4 of their 28 cosines are below 3 Hz, and 2 are a line.
     "filtered white": (
         {"cleaning.algorithm": ["average", "highpass"], "cleaning.highpass_frequency": "3 Hz"},
@@ -153,6 +160,11 @@ MORE = {
         },
         {"cleaning.highpass_frequency": "3 Hz"},
         "score.white_noise_above: filters of cleaning.algorithm remove 7 % of the noise above 2.5 Hz, and the measured",
+    ),
+    "parts": (
+        SPLITS | {"observations": 15},
+        SPLITS,
+        "spectra: a part has 7 observations; 8 or more are needed to trust the errors of band powers and null tests.",
     ),
     "track": (
         SCORED_TRACK | {"score.size": "4.7 arcmin"},

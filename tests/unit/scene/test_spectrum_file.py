@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from surveysim.runtime.errors import InputError
 from surveysim.scene.shipped import shipped_folder
 from surveysim.scene.spectrum_file import read_spectrum_file
 
@@ -36,3 +37,15 @@ def test_the_spectrum_that_ships_is_of_camb():
     ell, power = read_spectrum_file(shipped_folder() / "lynx_sky_spectrum.dat")
     assert (ell[0], ell[-1]) == (2, 15000)
     assert np.interp([220, 3000], ell, power) == pytest.approx([5729.3, 28.06], rel=3e-3)
+
+
+def test_two_columns_of_c_ell_are_refused(tmp_path):
+    """Two columns are l (l + 1) C_l / 2 pi; a header of C_l alone says that these are not."""
+    for number, header in enumerate(("# l  l(l+1)C_l/2pi [uK2]", "# ell D_ell")):
+        path = tmp_path / f"{number}.dat"
+        path.write_text(header + "\n2 1000\n3 900\n")
+        np.testing.assert_array_equal(read_spectrum_file(path), ([2, 3], [1000, 900]))
+    path = tmp_path / "c_ell.dat"
+    path.write_text("# l C_l [uK2]\n2 1000\n3 900\n")
+    with pytest.raises(InputError, match="found a header of C_l"):
+        read_spectrum_file(path)

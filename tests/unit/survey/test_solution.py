@@ -212,3 +212,10 @@ def test_limits_of_unfinished_maps_are_refused(tmp_path):
         run(scene(tmp_path, SOLVED["destriped"]), engine=SERIAL, target_error=0.1)
     with pytest.raises(InputError, match="map.maker: found 'iterative' with a limit"):
         run(scene(tmp_path, ITERATIVE), engine=SERIAL, time_budget_s=60.0)
+
+
+def test_convergence_studies_note_makers_without_a_score_on_the_way(tmp_path):
+    from surveysim.studies.convergence.runs import Task, run_task
+
+    found = run_task(Task(scene(tmp_path, SOLVED["destriped"]), (4,)))
+    assert "map.maker: found 'destriped'" in found.note

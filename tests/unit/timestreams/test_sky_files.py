@@ -10,6 +10,7 @@ from astropy.io import fits
 from astropy.wcs import WCS
 
 from mapmaker.geometry import MapGeometry, pixel_centres, plane_directions, plane_offsets
+from surveysim.runtime.errors import InputError
 from surveysim.scene.map_units import UNITS, contradicts, rj_mk_per_unit, unit_of_header
 from surveysim.scene.passband import top_hat
 from surveysim.scene.sky import SkyCatalogue, SkyCluster, SkyMap
@@ -69,6 +70,50 @@ def test_a_pixel_becomes_a_beam(pixel, frame):
         expected = gaussian(ACROSS_ZERO, there.ra.deg, there.dec.deg, width)
         np.testing.assert_allclose(sky, expected, atol=2e-3 * expected.max())
         assert sky.sum() == pytest.approx(expected.sum(), rel=2e-4)
+
+
+@pytest.mark.parametrize("dec", [60, 80])
+def test_a_pixel_of_a_cylinder_far_from_its_equator(dec):
+    """Columns of a plate carree are narrower by cos(dec): one pixel still is a beam of its flux."""
+    wcs = image_wcs(20.0, 80, projection="CAR", ra=30.0, dec=0.0)
+    wcs.wcs.crpix = [300.3, 40.2 - dec * 180]
+    values = np.zeros((80, 600))
+    column, row = 295, 44
+    values[row, column] = 1 / (math.cos(math.radians(wcs.pixel_to_world(column, row).dec.deg)) * (20 * ARCSEC) ** 2)
+    there, grid = wcs.pixel_to_world(column, row).icrs, MapGeometry(DEGREE * 30, DEGREE * dec, 10 * ARCSEC, 60, 60)
+    sky = map_on_grid(SkyImage(values, wcs, "equatorial", "K_RJ", 0.0, ()), grid, (FWHM,))[0]
+    expected = gaussian(grid, there.ra.deg, there.dec.deg, FWHM)
+    np.testing.assert_allclose(sky, expected, atol=2e-3 * expected.max())
+    assert sky.sum() == pytest.approx(expected.sum(), rel=2e-4)
+
+
+def test_ecliptic_images_are_refused(tmp_path):
+    """Astropy takes ecliptic axes for right ascension and declination."""
+    wcs = image_wcs(20.0, 60)
+    wcs.wcs.ctype = ["ELON-TAN", "ELAT-TAN"]
+    header = wcs.to_header()
+    header["BUNIT"] = "K_RJ"
+    fits.writeto(tmp_path / "map.fits", np.ones((60, 60)), header)
+    with pytest.raises(InputError, match="found coordinates ELON and ELAT; ICRS"):
+        read_sky_image(SkyMap(file=tmp_path / "map.fits"))
+
+
+def test_values_of_images(tmp_path):
+    """Infinity and blanks are no values; a cut file and a plane of Stokes Q are refused."""
+    header = image_wcs(20.0, 60).to_header()
+    header["BUNIT"] = "K_RJ"
+    values, path = np.ones((60, 60)), tmp_path / "map.fits"
+    values[3, 4:7] = np.inf, -1.6375e30, np.nan
+    fits.writeto(path, values, header)
+    found = read_sky_image(SkyMap(file=path))
+    assert np.isnan(found.values[3, 4:7]).all() and np.nansum(found.values) == 3597
+    (tmp_path / "cut.fits").write_bytes(path.read_bytes()[:20_000])
+    with pytest.raises(InputError, match=r"cut\.fits: values can't be read"):
+        read_sky_image(SkyMap(file=tmp_path / "cut.fits"))
+    header.update({"CTYPE3": "STOKES", "CRPIX3": 1, "CRVAL3": 2, "CDELT3": 1})
+    fits.writeto(tmp_path / "q.fits", np.ones((2, 60, 60)), header)
+    with pytest.raises(InputError, match="found Stokes parameter 2 in the first plane; 1"):
+        read_sky_image(SkyMap(file=tmp_path / "q.fits"))
 
 
 def test_own_beam_of_a_map_counts():
