@@ -23,6 +23,7 @@ MAX_CELLS = 5e7  # of the grid that an image is convolved on: 3 GB of memory
 MAX_COEFFICIENTS = 3e7  # of a HEALPix map: 2 GB of memory, minutes of computing
 _FAINTEST = 1e-6  # amplitude that the beam leaves at the highest multipole of a HEALPix map
 _ORDER = 5  # of splines
+_CYLINDERS, _REPEATED = ("CAR", "CEA", "MER"), 16  # projections, and columns over which a spline forgets an edge
 _JUMP = 5  # between the places of neighbouring cells, over that in the middle of a plane projection
 _TOLERANCE, _ITERATIONS = 1e-8, 20  # of the analysis of a HEALPix map
 
@@ -175,6 +176,14 @@ def _between(places: np.ndarray, fine: int) -> np.ndarray:
     return places[first] * (1 - share) + places[first + 1] * share
 
 
+def _joined(image: SkyImage, values: np.ndarray) -> tuple[np.ndarray, int]:
+    """Repeat the outer columns of a cylinder around the whole sky, whose sides meet; return it with their number."""
+    around = values.shape[1] * abs(image.wcs.pixel_scale_matrix[0, 0])
+    if image.wcs.wcs.ctype[0][-3:] not in _CYLINDERS or not math.isclose(around, 360, rel_tol=1e-6):
+        return values, 0
+    return np.pad(values, ((0, 0), (_REPEATED, _REPEATED)), mode="wrap"), _REPEATED
+
+
 def _image_on_grid(image: SkyImage, geometry: MapGeometry, extra_rad: tuple[float, ...]) -> np.ndarray:
     from scipy.fft import irfft2, rfft2
     from scipy.ndimage import map_coordinates
@@ -187,8 +196,8 @@ def _image_on_grid(image: SkyImage, geometry: MapGeometry, extra_rad: tuple[floa
     # Half a pixel beyond the outer centres still lies on the map.
     inside = (column >= -0.5) & (column <= n_x - 0.5) & (row >= -0.5) & (row <= n_y - 0.5)
     sky = np.zeros(column.shape)
-    known = np.where(np.isfinite(image.values), image.values, 0.0)
-    sky[inside] = map_coordinates(known, [row[inside], column[inside]], order=_ORDER, mode="nearest")
+    known, beyond = _joined(image, np.where(np.isfinite(image.values), image.values, 0.0))
+    sky[inside] = map_coordinates(known, [row[inside], column[inside] + beyond], order=_ORDER, mode="nearest")
     modes, ell = rfft2(sky), mode_ell(cells.n_y, cells.n_x, cells.pixel_rad)
     middle = fine // 2
     found = np.empty((len(extra_rad), geometry.n_y, geometry.n_x))

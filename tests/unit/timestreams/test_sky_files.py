@@ -87,6 +87,21 @@ def test_a_pixel_of_a_cylinder_far_from_its_equator(dec):
     assert sky.sum() == pytest.approx(expected.sum(), rel=2e-4)
 
 
+@pytest.mark.parametrize("column", [0, 1, 359])
+def test_sides_of_a_cylinder_around_the_sky_meet(column):
+    """A pixel at the seam is the same as in the middle of the map that begins elsewhere."""
+    grid, found = MapGeometry(math.pi, 0.0, DEGREE / 2, 24, 24), []
+    for turn in (0, 90):
+        wcs = image_wcs(3600.0, 360, projection="CAR", ra=float(turn), dec=0.0)
+        wcs.wcs.crpix = [180.5, 20.5]
+        values = np.zeros((40, 360))
+        values[18, (column + turn) % 360] = 1.0
+        image = SkyImage(values, wcs, "equatorial", "K_RJ", 0.0, ())
+        found.append(map_on_grid(image, grid, (2.5 * DEGREE,))[0])
+    assert found[1].max() > 0.1
+    np.testing.assert_allclose(found[0], found[1], atol=1e-6)
+
+
 def test_ecliptic_images_are_refused(tmp_path):
     """Astropy takes ecliptic axes for right ascension and declination."""
     wcs = image_wcs(20.0, 60)
