@@ -73,13 +73,13 @@ def _check_values(image: SkyImage, path: Path, geometry: MapGeometry, fwhm_rad: 
     field = f"the field of the scans and two beams around it, {side:.4g} deg wide"
     if off:
         raise InputError(
-            f"map_file: {path}: found a map that lacks {off / total:.2g} of {field}; all of it is expected, or missing ="
-            " 'zero'"
+            f"map_file: {path}: found a map that lacks {off / total:.2g} of {field}; all of it is expected, or missing"
+            " = 'zero'"
         )
     if empty:
         raise InputError(
-            f"map_file: {path}: found pixels without a value (NaN) in {empty / total:.2g} of {field}; values are expected,"
-            " or missing = 'zero'"
+            f"map_file: {path}: found pixels without a value (NaN) in {empty / total:.2g} of {field}; values are"
+            " expected, or missing = 'zero'"
         )
 
 

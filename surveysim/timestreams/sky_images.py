@@ -142,8 +142,8 @@ def _plane(hdu: Any, section: SkyMap) -> tuple[np.ndarray, tuple[str, ...], str,
         raise InputError("map_file: found no celestial coordinates in the header; an image with a WCS is expected")
     if celestial.wcs.lngtyp not in ("RA", "GLON"):  # astropy takes others for right ascension
         raise InputError(
-            f"map_file: found coordinates {celestial.wcs.lngtyp} and {celestial.wcs.lattyp}; ICRS, FK5 of J2000 or galactic"
-            " ones are expected"
+            f"map_file: found coordinates {celestial.wcs.lngtyp} and {celestial.wcs.lattyp}; ICRS, FK5 of J2000 or"
+            " galactic ones are expected"
         )
     frames = {"icrs": "equatorial", "fk5": "equatorial", "galactic": "galactic"}
     if frame not in frames or (frame == "fk5" and not math.isclose(celestial.wcs.equinox, 2000)):

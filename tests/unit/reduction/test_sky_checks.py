@@ -70,7 +70,7 @@ def test_a_map_is_read_and_makes_the_sky(tmp_path):
         ({"BUNIT": "Jy/beam"}, "", "frequency: m.fits: missing; the unit 'Jy/beam' needs it, and 'spectral_index'"),
         ({}, 'beam_fwhm = "90 arcsec"', "beam_fwhm: m.fits: found 90 arcsec; the camera's 60 arcsec or less is"),
         ({"BMAJ": 0.02, "BMIN": 0.01}, "", "beam_fwhm: m.fits: found a beam of 0.02 by 0.01 deg in the file;"),
-        ({"RADESYS": "FK4", "EQUINOX": 1950.0}, "", "map_file: m.fits: found coordinates in fk4; ICRS, FK5 of J2000 or"),
+        ({"RADESYS": "FK4", "EQUINOX": 1950.0}, "", "map_file: m.fits: found coordinates in fk4; ICRS, FK5 of J2000"),
         ({}, "hdu = 4", "hdu: m.fits: found 4 in a file of 1; 0 or less is expected"),
         ({}, 'frame = "galactic"', "frame: m.fits: found 'galactic' for an image, which has its own; none is expected"),
     ],
