@@ -4,7 +4,10 @@ import re
 
 NEW = ".surveysim.new"  # begins the name of a temporary folder of results
 # The scene, and the tables that its keys of files name, with the suffix of the user's file.
-_TABLES = "positions|passband|illumination|transmission|emissivity|opacity|spectrum|track_table|weather_table|file"
+_TABLES = (
+    "positions|passband|illumination|transmission|emissivity|opacity|spectrum|track_table|weather_table|map_file"
+    "|catalogue_file"
+)
 _SCENE = rf"scene\.toml|({_TABLES})(_\d+)?(\.[\w-]+)?"
 # Names that any command writes: no other file is ever removed, even if the record lists it.
 WRITTEN = re.compile(

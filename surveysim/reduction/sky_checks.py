@@ -52,8 +52,8 @@ def _check_catalogues(sky: Sky, grid: MapGeometry, reach_rad: float) -> None:
         x, y = plane_offsets(grid, section.table.ra_rad, section.table.dec_rad)
         if not (np.maximum(np.abs(x), np.abs(y)) <= reach_rad).any():
             raise SceneError(
-                f"sky.catalogues.{number}.file: {section.file}: found none of its {len(x)} sources within"
-                f" {math.degrees(reach_rad):.4g} deg of the field's centre; one or more are expected there"
+                f"sky.catalogues.{number}.catalogue_file: {section.catalogue_file}: found none of its {len(x)} sources"
+                f" within {math.degrees(reach_rad):.4g} deg of the field's centre; one or more are expected there"
             )
 
 

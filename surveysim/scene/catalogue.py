@@ -65,7 +65,9 @@ def read_catalogue(path: Path) -> Catalogue:
         return _checked(_table(read_bytes(path, MAX_BYTES)))
     except InputError as error:
         missing = "" if os.path.lexists(path) else "no such file in the folder of the scene"
-        raise InputError(f"file: {path}: {missing or error}; a catalogue with ra, dec and flux is expected") from None
+        raise InputError(
+            f"catalogue_file: {path}: {missing or error}; a catalogue with ra, dec and flux is expected"
+        ) from None
 
 
 def _table(content: bytes) -> Any:

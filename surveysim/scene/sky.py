@@ -66,7 +66,7 @@ class SkyMap(Section):
     the camera is wider than the map's own, and averaged over the band.
     """
 
-    file: TableFile
+    map_file: TableFile
     """FITS file, path relative to the scene file."""
     hdu: Annotated[int, *whole(0, 999)] | None = Field(default=None, json_schema_extra={"otherwise": "the first map"})
     """Number of the header-data unit in the file, from 0."""
@@ -117,7 +117,7 @@ class SkyCatalogue(Section):
     columns are ignored, and so are sources outside the field of the scans.
     """
 
-    file: TableFile
+    catalogue_file: TableFile
     """ECSV or FITS table, path relative to the scene file."""
     flux_frequency_hz: BandFrequency = Field(alias="flux_frequency")
     """Frequency of the flux densities."""
@@ -127,7 +127,7 @@ class SkyCatalogue(Section):
     @property
     def table(self) -> Catalogue:
         """The table, read once."""
-        return read_catalogue(self.file)
+        return read_catalogue(self.catalogue_file)
 
     @model_validator(mode="after")
     def _one_index(self) -> Self:

@@ -59,12 +59,12 @@ def check_map(section: SkyMap, geometry: MapGeometry, fwhm_rad: tuple[float, ...
     if image.fwhm_rad > min(fwhm_rad) * (1 + 1e-9):
         found, allowed = (np.degrees(width) * 3600 for width in (image.fwhm_rad, min(fwhm_rad)))
         raise InputError(
-            f"beam_fwhm: {section.file}: found {found:.4g} arcsec; the camera's {allowed:.4g} arcsec or less is"
+            f"beam_fwhm: {section.map_file}: found {found:.4g} arcsec; the camera's {allowed:.4g} arcsec or less is"
             " expected, as a map can't be sharpened"
         )
-    check_cost(image, section.file, geometry, fwhm_rad)
+    check_cost(image, section.map_file, geometry, fwhm_rad)
     if section.missing == "refuse":
-        _check_values(image, section.file, geometry, max(fwhm_rad))
+        _check_values(image, section.map_file, geometry, max(fwhm_rad))
 
 
 def _check_values(image: SkyImage, path: Path, geometry: MapGeometry, fwhm_rad: float) -> None:
@@ -73,13 +73,13 @@ def _check_values(image: SkyImage, path: Path, geometry: MapGeometry, fwhm_rad: 
     field = f"the field of the scans and two beams around it, {side:.4g} deg wide"
     if off:
         raise InputError(
-            f"file: {path}: found a map that lacks {off / total:.2g} of {field}; all of it is expected, or missing ="
-            " 'zero'"
+            f"map_file: {path}: found a map that lacks {off / total:.2g} of {field}; all of it is expected, or missing"
+            " = 'zero'"
         )
     if empty:
         raise InputError(
-            f"file: {path}: found pixels without a value (NaN) in {empty / total:.2g} of {field}; values are expected,"
-            " or missing = 'zero'"
+            f"map_file: {path}: found pixels without a value (NaN) in {empty / total:.2g} of {field}; values are"
+            " expected, or missing = 'zero'"
         )
 
 
@@ -92,5 +92,5 @@ def sky_notes(scene: Scene, beam_rad: float) -> list[str]:
         if image.pixel_rad > beam_rad / 2 * (1 + 1e-3):
             pixel, beam = (np.degrees(width) * 3600 for width in (image.pixel_rad, beam_rad))
             notes.append(f"pixels of {pixel:.3g} arcsec are larger than half of the beam of {beam:.3g} arcsec")
-        found += [f"sky.maps.{number}: {section.file.name}: {note}." for note in notes]
+        found += [f"sky.maps.{number}: {section.map_file.name}: {note}." for note in notes]
     return found

@@ -75,12 +75,12 @@ def read_sky_image(section: SkyMap) -> SkyImage:
     """
     try:
         # Astropy warns of keywords that it repairs, and of files that are refused below.
-        with warnings.catch_warnings(action="ignore"), _opened(section.file) as file:
+        with warnings.catch_warnings(action="ignore"), _opened(section.map_file) as file:
             return _image(file, section)
     except InputError as error:
-        missing = "" if os.path.lexists(section.file) else "no such file in the folder of the scene"
+        missing = "" if os.path.lexists(section.map_file) else "no such file in the folder of the scene"
         key, _, what = str(error).partition(": ")
-        raise InputError(f"{key}: {section.file}: {missing or what}") from None
+        raise InputError(f"{key}: {section.map_file}: {missing or what}") from None
 
 
 def _opened(path: Path) -> Any:
@@ -88,10 +88,12 @@ def _opened(path: Path) -> Any:
 
     try:
         if os.path.isfile(path) and os.path.getsize(path) > MAX_BYTES:
-            raise InputError(f"file: found more than {MAX_BYTES / 1e9:g} GB; a smaller map is expected")
+            raise InputError(f"map_file: found more than {MAX_BYTES / 1e9:g} GB; a smaller map is expected")
         return fits.open(path, memmap=False)
     except (OSError, ValueError, TypeError) as error:
-        raise InputError(f"file: not a FITS file ({one_line(error)}); a map of the sky in FITS is expected") from None
+        raise InputError(
+            f"map_file: not a FITS file ({one_line(error)}); a map of the sky in FITS is expected"
+        ) from None
 
 
 def _image(file: Any, section: SkyMap) -> SkyImage:
@@ -101,7 +103,7 @@ def _image(file: Any, section: SkyMap) -> SkyImage:
     fwhm_rad = _own_beam(hdu, section, unit)
     values = np.where(np.abs(values) < _NO_VALUE, values, np.nan)
     if not np.isfinite(values).any():
-        raise InputError("file: found no pixel with a value; a map is expected")
+        raise InputError("map_file: found no pixel with a value; a map is expected")
     return SkyImage(values, wcs, frame, unit, fwhm_rad, notes)
 
 
@@ -112,7 +114,7 @@ def _chosen(file: Any, number: int | None) -> Any:
     for hdu in file if number is None else [file[number]]:
         if _is_healpix(hdu) or (hdu.is_image and hdu.header["NAXIS"] >= 2):
             return hdu
-    raise InputError("file: found neither an image nor a HEALPix map; one of the two is expected")
+    raise InputError("map_file: found neither an image nor a HEALPix map; one of the two is expected")
 
 
 def _is_healpix(hdu: Any) -> bool:
@@ -134,18 +136,18 @@ def _plane(hdu: Any, section: SkyMap) -> tuple[np.ndarray, tuple[str, ...], str,
         frame = wcs_to_celestial_frame(celestial).name
     except Exception as error:  # astropy and wcslib raise many types of errors
         raise InputError(
-            f"file: found coordinates that can't be read ({one_line(error)}); celestial ones are expected"
+            f"map_file: found coordinates that can't be read ({one_line(error)}); celestial ones are expected"
         ) from None
     if not whole.has_celestial or celestial.naxis != 2:
-        raise InputError("file: found no celestial coordinates in the header; an image with a WCS is expected")
+        raise InputError("map_file: found no celestial coordinates in the header; an image with a WCS is expected")
     if celestial.wcs.lngtyp not in ("RA", "GLON"):  # astropy takes others for right ascension
         raise InputError(
-            f"file: found coordinates {celestial.wcs.lngtyp} and {celestial.wcs.lattyp}; ICRS, FK5 of J2000 or galactic"
-            " ones are expected"
+            f"map_file: found coordinates {celestial.wcs.lngtyp} and {celestial.wcs.lattyp}; ICRS, FK5 of J2000 or"
+            " galactic ones are expected"
         )
     frames = {"icrs": "equatorial", "fk5": "equatorial", "galactic": "galactic"}
     if frame not in frames or (frame == "fk5" and not math.isclose(celestial.wcs.equinox, 2000)):
-        raise InputError(f"file: found coordinates in {frame}; ICRS, FK5 of J2000 or galactic ones are expected")
+        raise InputError(f"map_file: found coordinates in {frame}; ICRS, FK5 of J2000 or galactic ones are expected")
     values, notes = _first_planes(hdu, whole)
     return values, notes, frames[frame], celestial
 
@@ -154,7 +156,7 @@ def _data(hdu: Any) -> np.ndarray:
     try:
         return hdu.data
     except (OSError, ValueError, TypeError) as error:  # of a file that ends too early
-        raise InputError(f"file: values can't be read ({one_line(error)}); a map is expected") from None
+        raise InputError(f"map_file: values can't be read ({one_line(error)}); a map is expected") from None
 
 
 def _first_planes(hdu: Any, whole: Any) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -162,12 +164,12 @@ def _first_planes(hdu: Any, whole: Any) -> tuple[np.ndarray, tuple[str, ...]]:
     values, notes = np.asarray(_data(hdu), dtype=float), []
     places = {whole.naxis - 1 - whole.wcs.lng, whole.naxis - 1 - whole.wcs.lat}
     if whole.wcs.lng > whole.wcs.lat:
-        raise InputError("file: found latitude on the first axis; longitude is expected there")
+        raise InputError("map_file: found latitude on the first axis; longitude is expected there")
     for axis in sorted(set(range(values.ndim)) - places, reverse=True):
         kind = str(whole.wcs.ctype[values.ndim - 1 - axis])
         if values.shape[axis] > 1 and kind != "STOKES":
             raise InputError(
-                f"file: found {values.shape[axis]} planes along {kind or 'an axis'}; one image is expected"
+                f"map_file: found {values.shape[axis]} planes along {kind or 'an axis'}; one image is expected"
             )
         if values.shape[axis] > 1:
             notes.append(f"polarization is ignored: the first of {values.shape[axis]} planes is taken")
@@ -175,7 +177,7 @@ def _first_planes(hdu: Any, whole: Any) -> tuple[np.ndarray, tuple[str, ...]]:
         first = whole.wcs.crval[number] + (1 - whole.wcs.crpix[number]) * whole.wcs.cdelt[number]
         if kind == "STOKES" and round(first) != 1:
             raise InputError(
-                f"file: found Stokes parameter {first:g} in the first plane; 1, the intensity, is expected"
+                f"map_file: found Stokes parameter {first:g} in the first plane; 1, the intensity, is expected"
             )
         values = values.take(0, axis=axis)
     return values, tuple(notes)
@@ -188,10 +190,10 @@ def _healpix(hdu: Any, section: SkyMap) -> tuple[np.ndarray, tuple[str, ...], st
     header = hdu.header
     nside = header.get("NSIDE", 0)
     if nside not in [2**k for k in range(14)]:
-        raise InputError(f"file: found NSIDE {shown(nside)}; a power of two from 1 to {MAX_NSIDE} is expected")
+        raise InputError(f"map_file: found NSIDE {shown(nside)}; a power of two from 1 to {MAX_NSIDE} is expected")
     ordering = str(header.get("ORDERING", "")).strip().upper()
     if ordering not in ("RING", "NESTED", "NEST"):
-        raise InputError(f"file: found ORDERING {ordering!r}; RING or NESTED is expected")
+        raise InputError(f"map_file: found ORDERING {ordering!r}; RING or NESTED is expected")
     names = _columns(hdu)
     notes = (f"polarization is ignored: the column {names[0]!r} is taken of {', '.join(names)}",) if names[1:] else ()
     values = _pixels(hdu, names[0], nside)
@@ -206,7 +208,7 @@ def _columns(hdu: Any) -> list[str]:
     """Names of the columns with values: the map is the first, temperature before polarization."""
     names = [name for name in hdu.columns.names if name.upper() != "PIXEL"]
     if not names:
-        raise InputError("file: found no column with values; a map is expected")
+        raise InputError("map_file: found no column with values; a map is expected")
     return names
 
 
@@ -218,12 +220,12 @@ def _pixels(hdu: Any, name: str, nside: int) -> np.ndarray:
         places = np.asarray(_data(hdu)["PIXEL"], dtype=np.int64).ravel()
         if len(places) and (places.min() < 0 or places.max() >= n_pixel):
             raise InputError(
-                f"file: column 'PIXEL': found {places.min()} to {places.max()}; 0 to {n_pixel - 1} is expected"
+                f"map_file: column 'PIXEL': found {places.min()} to {places.max()}; 0 to {n_pixel - 1} is expected"
             )
         values[places] = found
         return values
     if len(found) != n_pixel:
-        raise InputError(f"file: found {len(found)} pixels for NSIDE {nside}; {n_pixel} are expected")
+        raise InputError(f"map_file: found {len(found)} pixels for NSIDE {nside}; {n_pixel} are expected")
     return found
 
 

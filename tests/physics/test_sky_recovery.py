@@ -86,7 +86,7 @@ def passed(setup, skies, observations):
 
 def image_sky(setup, path):
     """The sky of an image, as the scene's own sky is made, (1, n_y, n_x)."""
-    section = SkyMap.model_validate({"file": path, "frequency": "143 GHz", "spectral_index": 2})
+    section = SkyMap.model_validate({"map_file": path, "frequency": "143 GHz", "spectral_index": 2})
     sky = map_mk(setup.scene, section, setup.sky.geometry, setup.sky.fwhm_rad)
     return np.stack([sharpened(item) for item in sky]).astype(np.float32)
 

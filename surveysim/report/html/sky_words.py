@@ -14,9 +14,9 @@ def sky_words(sky: Values) -> Iterator[str]:
     """Describe the sky from the content of scene.json."""
     yield from _random(sky)
     for item in sky.get("maps", ()):
-        yield f"The map {PurePath(item['file']).name}, through the beam of the camera."
+        yield f"The map {PurePath(item['map_file']).name}, through the beam of the camera."
     for item in sky.get("catalogues", ()):
-        yield f"Sources of the catalogue {PurePath(item['file']).name}, of flux densities {_law(item)}."
+        yield f"Sources of the catalogue {PurePath(item['catalogue_file']).name}, of flux densities {_law(item)}."
     for item in sky.get("clusters", ()):
         yield f"A cluster with the profile {item['profile']!r} and y0 = {number(item['y0'], 3)}."
     if sky["point_sources"]:

@@ -94,7 +94,11 @@ def test_cameras_are_checked_by_name(empty, call):
 def test_unknown_names_are_answered_with_those_that_are_alike(empty, call, command):
     names = ", ".join(sorted(path.stem for path in SCENARIOS.glob("*.toml")))
     names = f"a file, a camera (surveysim cameras) or one of {names} is expected"
-    for name, said in (("lynxx", "did you mean lynx?"), ("act_151", "did you mean act_150?"), ("qqq", names)):
+    for name, said in (
+        ("lynxx", "did you mean lynx or lynx_sky?"),
+        ("act_151", "did you mean act_150?"),
+        ("qqq", names),
+    ):
         assert call(*command, name) == (2, "", f"'{name}': no such scene; {said}\n")
     assert [path.name for path in empty.iterdir()] == []
 
@@ -269,7 +273,9 @@ def test_shells_complete_scenes(empty):
     (empty / "lynxes").mkdir()
     (empty / "lynxes" / "one.toml").touch()
     for command in ("run", "check", "new mine --like"):
-        assert completions(empty, f"surveysim {command} lyn") == ["lynx", "lynx_mine.toml", "lynxes/"], command
+        assert completions(empty, f"surveysim {command} lyn") == ["lynx", "lynx_sky", "lynx_mine.toml", "lynxes/"], (
+            command
+        )
     assert completions(empty, "surveysim plan lynxes/") == ["lynxes/one.toml"]
     assert completions(empty, "surveysim plan [") == []
 

@@ -49,7 +49,7 @@ def image_file(path, values, pixel_arcsec=30.0, *, ra=RA, dec=DEC, **cards):
     fits.PrimaryHDU(values, header).writeto(path, overwrite=True)
 
 
-MAP = '[[sky.maps]]\nfile = "m.fits"\n'
+MAP = '[[sky.maps]]\nmap_file = "m.fits"\n'
 
 
 def test_a_map_is_read_and_makes_the_sky(tmp_path):
@@ -70,7 +70,7 @@ def test_a_map_is_read_and_makes_the_sky(tmp_path):
         ({"BUNIT": "Jy/beam"}, "", "frequency: m.fits: missing; the unit 'Jy/beam' needs it, and 'spectral_index'"),
         ({}, 'beam_fwhm = "90 arcsec"', "beam_fwhm: m.fits: found 90 arcsec; the camera's 60 arcsec or less is"),
         ({"BMAJ": 0.02, "BMIN": 0.01}, "", "beam_fwhm: m.fits: found a beam of 0.02 by 0.01 deg in the file;"),
-        ({"RADESYS": "FK4", "EQUINOX": 1950.0}, "", "file: m.fits: found coordinates in fk4; ICRS, FK5 of J2000 or"),
+        ({"RADESYS": "FK4", "EQUINOX": 1950.0}, "", "map_file: m.fits: found coordinates in fk4; ICRS, FK5 of J2000"),
         ({}, "hdu = 4", "hdu: m.fits: found 4 in a file of 1; 0 or less is expected"),
         ({}, 'frame = "galactic"', "frame: m.fits: found 'galactic' for an image, which has its own; none is expected"),
     ],
@@ -85,7 +85,7 @@ def test_edges_and_missing_values(tmp_path):
     image_file(tmp_path / "m.fits", np.ones((20, 20)))
     line = refusal(tmp_path, MAP)
     # 10 of 34 arcmin along each side.
-    assert line.startswith("sky.maps.0.file: m.fits: found a map that lacks 0.92 of the field of the scans and")
+    assert line.startswith("sky.maps.0.map_file: m.fits: found a map that lacks 0.92 of the field of the scans and")
     assert line.endswith("deg wide; all of it is expected, or missing = 'zero'")
     image_file(tmp_path / "m.fits", np.ones((120, 120)), ra=RA + 180, dec=-DEC)
     assert "lacks 1 of the field" in refusal(tmp_path, MAP)
@@ -96,13 +96,13 @@ def test_edges_and_missing_values(tmp_path):
     setup = prepare(load_scene(scene_with(tmp_path, MAP + 'missing = "zero"\n')))
     assert np.isfinite(setup.sky.map_mk).all() and setup.sky.map_mk.min() < 0.5 * setup.sky.map_mk.max()
     image_file(tmp_path / "m.fits", np.full((120, 120), math.nan))
-    assert refusal(tmp_path, MAP) == "sky.maps.0.file: m.fits: found no pixel with a value; a map is expected"
+    assert refusal(tmp_path, MAP) == "sky.maps.0.map_file: m.fits: found no pixel with a value; a map is expected"
 
 
 def test_files_that_are_no_maps(tmp_path):
-    assert refusal(tmp_path, MAP) == "sky.maps.0.file: m.fits: no such file in the folder of the scene"
+    assert refusal(tmp_path, MAP) == "sky.maps.0.map_file: m.fits: no such file in the folder of the scene"
     (tmp_path / "m.fits").write_text("no map")
-    assert refusal(tmp_path, MAP).startswith("sky.maps.0.file: m.fits: not a FITS file (")
+    assert refusal(tmp_path, MAP).startswith("sky.maps.0.map_file: m.fits: not a FITS file (")
     fits.PrimaryHDU(np.ones((9, 9))).writeto(tmp_path / "m.fits", overwrite=True)
     assert "coordinates" in refusal(tmp_path, MAP)
     image_file(tmp_path / "m.fits", np.ones((120, 120)), 0.3)
@@ -118,8 +118,10 @@ def test_sections_that_are_refused(tmp_path):
     assert refusal(tmp_path, CLUSTER) == "sky.clusters.0.theta_500: missing; it is expected with the profile 'arnaud'"
     far = CLUSTER.replace("132.3", "140") + 'theta_500 = "2 arcmin"\n'
     assert refusal(tmp_path, far).startswith("sky.clusters.0: found a cluster 5.4")
-    catalogue = '[[sky.catalogues]]\nfile = "c.ecsv"\nflux_frequency = "143 GHz"\n'
-    assert refusal(tmp_path, catalogue).startswith("sky.catalogues.0.file: c.ecsv: no such file in the folder")
+    catalogue = '[[sky.catalogues]]\ncatalogue_file = "c.ecsv"\nflux_frequency = "143 GHz"\n'
+    assert refusal(tmp_path, catalogue).startswith(
+        "sky.catalogues.0.catalogue_file: c.ecsv: no such file in the folder"
+    )
     head = "# %ECSV 1.0\n# ---\n# datatype:\n# - {name: ra, datatype: float64, unit: deg}\n"
     head += (
         "# - {name: dec, datatype: float64, unit: deg}\n# - {name: flux, datatype: float64, unit: UNIT}\nra dec flux\n"

@@ -76,6 +76,13 @@ def test_few_observations_are_warned_of(setup, result):
     assert "spectra.realizations: 5 realizations" in "\n".join(design_warnings(replace(setup, scene=scene)))
 
 
+def test_steep_skies_are_warned_of(result):
+    """The transfer function is that of flat spectra."""
+    for power, warned in (([500.0, 500, 510, 490], False), ([900.0, 600, 500, 450], True), ([0.0] * 4, False)):
+        lines = spectra_warnings(replace(result.spectra, input_uk2=np.array(power)))
+        assert any("changes by up to a factor of 1.5 from one bin" in line for line in lines) == warned
+
+
 def test_a_survey_that_has_begun_says_why_it_has_no_spectra(setup, result):
     begun = run_observations(setup, None, stops=lambda sums: sums.done == 2)
     found = survey_result(setup, begun, wall_s=1.0, workers=1)

@@ -95,7 +95,7 @@ def test_ecliptic_images_are_refused(tmp_path):
     header["BUNIT"] = "K_RJ"
     fits.writeto(tmp_path / "map.fits", np.ones((60, 60)), header)
     with pytest.raises(InputError, match="found coordinates ELON and ELAT; ICRS"):
-        read_sky_image(SkyMap(file=tmp_path / "map.fits"))
+        read_sky_image(SkyMap(map_file=tmp_path / "map.fits"))
 
 
 def test_values_of_images(tmp_path):
@@ -105,15 +105,15 @@ def test_values_of_images(tmp_path):
     values, path = np.ones((60, 60)), tmp_path / "map.fits"
     values[3, 4:7] = np.inf, -1.6375e30, np.nan
     fits.writeto(path, values, header)
-    found = read_sky_image(SkyMap(file=path))
+    found = read_sky_image(SkyMap(map_file=path))
     assert np.isnan(found.values[3, 4:7]).all() and np.nansum(found.values) == 3597
     (tmp_path / "cut.fits").write_bytes(path.read_bytes()[:20_000])
     with pytest.raises(InputError, match=r"cut\.fits: values can't be read"):
-        read_sky_image(SkyMap(file=tmp_path / "cut.fits"))
+        read_sky_image(SkyMap(map_file=tmp_path / "cut.fits"))
     header.update({"CTYPE3": "STOKES", "CRPIX3": 1, "CRVAL3": 2, "CDELT3": 1})
     fits.writeto(tmp_path / "q.fits", np.ones((2, 60, 60)), header)
     with pytest.raises(InputError, match="found Stokes parameter 2 in the first plane; 1"):
-        read_sky_image(SkyMap(file=tmp_path / "q.fits"))
+        read_sky_image(SkyMap(map_file=tmp_path / "q.fits"))
 
 
 def test_own_beam_of_a_map_counts():
@@ -186,7 +186,7 @@ def test_healpix_files(tmp_path):
     nest = healpy.reorder(ring, r2n=True)
     columns = {"TEMPERATURE": nest, "Q_POLARISATION": nest}
     path = healpix_file(tmp_path / "nest.fits", columns, nest=True, COORDSYS="G")
-    found = read_sky_image(SkyMap.model_validate({"file": path}))
+    found = read_sky_image(SkyMap.model_validate({"map_file": path}))
     np.testing.assert_array_equal(found.values, ring)
     assert (found.frame, found.unit) == ("galactic", "K_CMB")
     assert found.notes == ("polarization is ignored: the column 'TEMPERATURE' is taken of TEMPERATURE, Q_POLARISATION",)
@@ -195,7 +195,7 @@ def test_healpix_files(tmp_path):
     )
     some.header.update({"PIXTYPE": "HEALPIX", "NSIDE": 4, "ORDERING": "RING", "INDXSCHM": "EXPLICIT"})
     some.writeto(tmp_path / "some.fits")
-    part = read_sky_image(SkyMap.model_validate({"file": tmp_path / "some.fits", "frame": "equatorial"}))
+    part = read_sky_image(SkyMap.model_validate({"map_file": tmp_path / "some.fits", "frame": "equatorial"}))
     assert part.values[[3, 5]].tolist() == [1, 2] and np.isnan(part.values).sum() == 190
 
 
@@ -278,7 +278,7 @@ def test_sources_of_a_catalogue(tmp_path):
     table.write(tmp_path / "c.fits")
     mean = BAND.power_law(100e9, 3.5)
     for name in ("c.ecsv", "c.fits"):
-        section = SkyCatalogue.model_validate({"file": tmp_path / name, "flux_frequency": "100 GHz"})
+        section = SkyCatalogue.model_validate({"catalogue_file": tmp_path / name, "flux_frequency": "100 GHz"})
         sky = catalogue_mk(section, ACROSS_ZERO, (FWHM,), BAND, flux_scale=2e3 * FWHM**2)[0]
         beam = np.pi * FWHM**2 / (4 * math.log(2))
         expected = 2e3 * beam * 3e-3 * gaussian(ACROSS_ZERO, 0.08, -19.97, FWHM)
