@@ -147,7 +147,7 @@ def monte_carlo_covariance(realized_uk2: np.ndarray) -> Covariance:
         flags.append(f"{n_realization} realizations of {n_bin} bins: too few for a chi-squared")
     error = 1 / np.sqrt(2 * (n_realization - 1))
     if error > WORST_ERROR:
-        flags.append(f"{n_realization} realizations know errors of band powers to {100 * error:.0f} %")
+        flags.append(f"{n_realization} realizations determine errors of band powers to {100 * error:.0f} %")
     return Covariance(np.atleast_2d(np.cov(realized.T)), n_realization, tuple(flags))
 
 

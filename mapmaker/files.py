@@ -48,7 +48,8 @@ def regular_file(path: str | Path, kind: str) -> None:
     """Raise InputError unless `path` is a regular file: reading a pipe or a device may never end."""
     if not Path(path).is_file():
         found = "no regular file" if Path(path).exists() else "no such file"
-        raise InputError(f"{path}: not a whole {kind} ({found})")
+        found = "found a directory" if Path(path).is_dir() else found
+        raise InputError(f"{path}: {found}; a {kind} is expected")
 
 
 def one_line(error: BaseException) -> str:

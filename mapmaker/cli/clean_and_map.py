@@ -19,10 +19,12 @@ def clean_and_map(
         list[Path],
         typer.Argument(metavar="FILES", help="Files of time-streams, in order of time.", show_default=False),
     ],
-    out: Annotated[Path, typer.Option("--out", help="Directory for the results.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Directory for the results.", show_default=False)],
     config: Annotated[
         Path | None,
-        typer.Option("--config", help="Configuration, a TOML file; without it, defaults.", show_default=False),
+        typer.Option(
+            "--config", metavar="FILE", help="Configuration, a TOML file; without it, defaults.", show_default=False
+        ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace earlier results in the directory.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,

@@ -142,7 +142,7 @@ def file_format(path: str | Path) -> TimestreamFormat:
     for item in FORMATS.values():
         if item.recognizes(Path(path), head):
             return item
-    raise InputError(f"{path}: not a whole time-stream file (of none of the formats {', '.join(FORMATS)})")
+    raise InputError(f"{path}: not a whole time-stream file (format unknown; known are {', '.join(FORMATS)})")
 
 
 def _head(path: Path) -> bytes:

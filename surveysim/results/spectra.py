@@ -132,7 +132,7 @@ def band_power_table(entry: Content) -> Table:
         column("n_modes", of["n_modes"], "modes", count),
         *quoted_columns(_MEASURED, of[_MEASURED[0]], of[_MEASURED[1]], "band power [uK_CMB^2]", unit="uK2"),
         column("analytic_error_uk2", of["analytic_error_uk2"], "analytic error", number, unit="uK2"),
-        column("transfer_function_error_uk2", of["transfer_function_error_uk2"], "of transfer", number, unit="uK2"),
+        column("transfer_function_error_uk2", of["transfer_function_error_uk2"], "transfer error", number, unit="uK2"),
         *quoted_columns(_BIAS, of[_BIAS[0]], of[_BIAS[1]], "noise bias", unit="uK2"),
     ]
     headings = {"input_uk2": "spectrum", "sky_uk2": "this sky"}

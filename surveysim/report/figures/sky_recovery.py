@@ -19,7 +19,7 @@ def sky_in_and_out(item: SkyRecovery, cmb_per_rj: float) -> Figure:
     # Long waves of the input can be far brighter than all that comes back.
     reach = float(np.nanpercentile(np.abs(skies[1]), 99.9)) or 1.0
     x_ticks, y_ticks = sky_ticks(item.geometry)
-    for number, (sky, label) in enumerate(zip(skies, ("Sky that goes in", "Map that comes back"), strict=True)):
+    for number, (sky, label) in enumerate(zip(skies, ("Input sky", "Output map"), strict=True)):
         axes, bar = _places(figure, number)
         middle = float(np.nanmedian(sky))
         style = {"cmap": "RdBu_r", "vmin": middle - reach, "vmax": middle + reach, "interpolation": "nearest"}
@@ -44,7 +44,7 @@ def _draw_transfer(figure: Figure, item: SkyRecovery) -> None:
     axes.set_xlabel(r"Multipole $\ell_x$", fontsize=10)
     axes.set_ylabel(r"Multipole $\ell_y$", fontsize=10)
     axes.tick_params(labelsize=8.5)
-    axes.set_title("Amplitude that is left", fontsize=10)
+    axes.set_title("Transfer function (amplitude)", fontsize=10)
     figure.colorbar(drawn, cax=bar).ax.tick_params(labelsize=8.5)
 
 

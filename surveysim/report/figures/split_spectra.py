@@ -38,5 +38,7 @@ def split_spectra(spectra: SurveySpectra) -> Figure:
     right.set_ylabel("Null power over its error", fontsize=10)
     right.tick_params(which="both", labelsize=9, direction="in", top=True, right=True)
     right.grid(alpha=0.25, lw=0.5)
+    low, high = right.get_ylim()
+    right.set_ylim(low, high + 0.3 * (high - low))  # room for the legend
     legend(right)
     return figure

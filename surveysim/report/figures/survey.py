@@ -29,7 +29,7 @@ TITLES = {
     "map": "co-added map and its noise",
     "map_psd": "PSDs of the maps",
     "transfer_function": "transfer functions",
-    "sky": "sky that goes in, and what comes back",
+    "sky": "input sky, and its map after scans and cleaning",
     "cumulative_sensitivity": "cumulative sensitivity",
     "weights": "weights of multipoles in the score",
     "spectra": "band powers and null tests",

@@ -360,7 +360,8 @@ def _of_all(path: Path, labels: Sequence[str], job: Callable[[int], T]) -> list[
             done.append(job(number))
         except SceneError as error:
             for line in str(error).splitlines():
-                wrong.setdefault(line.removeprefix(f"{path}: "), []).append(number)
+                head, _, rest = line.partition(": ")
+                wrong.setdefault(rest if Path(head).absolute() == path.absolute() else line, []).append(number)
     if wrong:
         raise SceneError(error_lines(path, [_line(line, labels, points) for line, points in wrong.items()]))
     return done

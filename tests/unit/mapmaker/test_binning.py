@@ -294,7 +294,9 @@ def test_other_files_are_refused(tmp_path):
 
     (tmp_path / "text.fits").write_text("SIGNAL\n" * 1000)
     fits.PrimaryHDU(np.zeros((3, 3))).writeto(tmp_path / "plain.fits")
-    for name in ("nowhere.fits", "text.fits", "plain.fits"):
+    with pytest.raises(ValueError, match="nowhere.fits: no such file; a map file is expected"):
+        read_fits(tmp_path / "nowhere.fits")
+    for name in ("text.fits", "plain.fits"):
         with pytest.raises(ValueError, match=f"{name}: not a whole map file"):
             read_fits(tmp_path / name)
 

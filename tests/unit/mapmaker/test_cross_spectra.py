@@ -144,7 +144,7 @@ def test_few_realizations_are_flagged():
     assert monte_carlo_covariance(rng.normal(size=(60, 5))).flags == ()
     assert monte_carlo_covariance(rng.normal(size=(7, 5))).flags == (
         "7 realizations of 5 bins: too few for a chi-squared",
-        "7 realizations know errors of band powers to 29 %",
+        "7 realizations determine errors of band powers to 29 %",
     )
     lost = rng.normal(size=(60, 5))
     lost[:, 2] = np.nan

@@ -136,7 +136,7 @@ def test_unknown_formats(tmp_path):
     ):
         mm.write_timestreams(tmp_path / "one.csv", MADE)
     (tmp_path / "one.csv").write_text("a,b")
-    refused(mm.read_timestreams, tmp_path / "one.csv", "of none of the formats toast, hdf5, g3, mustang2")
+    refused(mm.read_timestreams, tmp_path / "one.csv", "format unknown; known are toast, hdf5, g3, mustang2")
     assert [item.name for item in tmp_path.iterdir()] == ["one.csv"]
 
 

@@ -184,9 +184,12 @@ def test_pipes_devices_and_folders(read, tmp_path):
 
     def check():
         try:
-            for name in ("pipe", "folder", "loop", "empty", "nowhere"):
-                refused(read, tmp_path / name, "not a whole")
-            with pytest.raises(ValueError, match="/dev/zero: not a whole .* file .no regular file"):
+            refused(read, tmp_path / "pipe", "no regular file; a .* file is expected")
+            refused(read, tmp_path / "folder", "found a directory; a .* file is expected")
+            refused(read, tmp_path / "nowhere", "no such file; a .* file is expected")
+            refused(read, tmp_path / "loop", "no such file; a .* file is expected")
+            refused(read, tmp_path / "empty", "not a whole")
+            with pytest.raises(ValueError, match="/dev/zero: no regular file; a .* file is expected"):
                 read("/dev/zero")
         except BaseException as error:
             failed.append(error)

@@ -105,7 +105,7 @@ def test_without_sacc(tmp_path, coupling, noise, monkeypatch):
 
 def test_other_files_are_refused(tmp_path, coupling, noise):
     path = tmp_path / "a.ecsv"
-    with pytest.raises(InputError, match="a.ecsv: not a whole table of band powers .no such file"):
+    with pytest.raises(InputError, match="a.ecsv: no such file; a table of band powers is expected"):
         read_band_powers(path)
     write_band_powers(path, cross_band_powers(noise[0], coupling))
     whole = path.read_text()

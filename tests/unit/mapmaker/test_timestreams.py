@@ -153,7 +153,7 @@ def test_a_truncated_file_is_refused(path, share):
 
 
 def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="nowhere.h5: not a whole time-stream file"):
+    with pytest.raises(ValueError, match="nowhere.h5: no such file; a time-stream file is expected"):
         read_timestreams(tmp_path / "nowhere.h5")
 
 

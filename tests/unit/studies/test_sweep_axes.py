@@ -2,6 +2,7 @@
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -175,6 +176,14 @@ def test_errors_name_their_points(refused):
     assert line.startswith("point (scan.speed = 4 arcmin, observations = 2) and 2 more: scan.speed: found")
     (line,) = refused(SPEEDS, {"scan.typo": 1})
     assert line.startswith("scan.typo: unknown key")
+
+
+def test_errors_of_a_relative_path_name_the_file_once(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("relative.toml").write_text("[sweep]\nobservations = [2, 3]\n")
+    with pytest.raises(SceneError) as caught:
+        load_sweep("relative.toml")
+    assert all(line.count("relative.toml: ") == 1 for line in str(caught.value).splitlines())
 
 
 def test_errors_of_the_camera_and_the_map_name_their_points(refused):

@@ -39,7 +39,7 @@ def test_files_of_any_format(folder, capsys):
     "arguments, line",
     [
         (["one.h5", "--to", "csv"], "format: found 'csv'; one of toast, hdf5, g3, mustang2 is expected"),
-        (["none.h5", "--to", "toast"], "none.h5: not a whole time-stream file (no such file)"),
+        (["none.h5", "--to", "toast"], "none.h5: no such file; a time-stream file is expected"),
         (["one.h5", "--to", "hdf5", "--out", "."], "one.h5: found a file; --force replaces it"),
         (
             ["one.h5", "./one.h5", "--to", "toast"],
