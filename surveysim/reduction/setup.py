@@ -37,7 +37,7 @@ from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory
 from surveysim.reduction.response_checks import check_response
 from surveysim.reduction.scored_region import padded_side, patch_side
 from surveysim.reduction.signal_sims import carriers
-from surveysim.reduction.sky_checks import check_contents
+from surveysim.reduction.sky_checks import check_contents, check_signal_spectrum
 from surveysim.reduction.splits import SurveySplits, survey_splits
 from surveysim.reduction.splits import check_bins as check_split_bins
 from surveysim.runtime.errors import InputError, OutOfRangeError, SceneError
@@ -222,6 +222,7 @@ def _prepare(scene: Scene) -> Setup:
         check_masked(scene, masked)
     check_score(scene, geometry, scans)
     check_split_bins(scene, geometry)
+    check_signal_spectrum(scene)
     check_healpix(scene)
     check_excess(scene)
     check_response(scene)

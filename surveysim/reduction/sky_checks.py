@@ -69,6 +69,18 @@ def _check_maps(sky: Sky, grid: MapGeometry, fwhm_rad: tuple[float, ...]) -> Non
             raise SceneError(f"sky.maps.{number}.{error}") from None
 
 
+def check_signal_spectrum(scene: Scene) -> None:
+    """Raise SceneError for signal simulations of a sky that has no power at the scored multipoles."""
+    if scene.score is None or scene.score.signal_sims.spectrum == "flat":
+        return
+    ell, known = np.arange(scene.score.ell_min, scene.score.ell_max + 1), scene.sky is not None
+    if not (known and scene.sky.is_random and (scene.sky.band_power_ukcmb2(ell) > 0).all()):
+        raise SceneError(
+            "score.signal_sims.spectrum: found 'sky' without power of a random sky at all scored multipoles; 'flat' is"
+            " expected, or sky.cmb_band_power or sky.spectrum above 0"
+        )
+
+
 def _check_spectrum(scene: Scene) -> None:
     """Raise SceneError for a spectrum that ends below the scored multipoles."""
     if scene.sky.spectrum is None or scene.score is None:

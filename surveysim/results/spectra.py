@@ -89,7 +89,7 @@ def _test(begin: str, found: ChiSquared) -> dict[str, Any]:
 
 def spectra_warnings(spectra: SurveySpectra) -> list[str]:
     """Warn of few observations and realizations, and of parts with holes in their maps."""
-    found = [*spectra.reported.powers.flags, *spectra.reported.monte_carlo.flags, *_steep(spectra.input_uk2)]
+    found = [*spectra.reported.powers.flags, *spectra.reported.monte_carlo.flags, *_steep(spectra)]
     tests = {name: item.null.chi_squared for name, item in spectra.splits.items()}
     found += [
         f"the null test of the split {name!r} fails, with a probability to exceed of {test.pte:.2g}"
@@ -110,16 +110,18 @@ def spectra_warnings(spectra: SurveySpectra) -> list[str]:
     return [f"spectra: {line}." for line in found]
 
 
-def _steep(input_uk2: np.ndarray | None) -> list[str]:
+def _steep(spectra: SurveySpectra) -> list[str]:
     """Warn of a sky whose spectrum is not that of the simulated skies, which is flat."""
-    if input_uk2 is None or not (known := input_uk2[np.isfinite(input_uk2)]).all():
+    input_uk2 = spectra.input_uk2
+    if spectra.own_transfer or input_uk2 is None or not (known := input_uk2[np.isfinite(input_uk2)]).all():
         return []
     change = np.exp(np.abs(np.diff(np.log(known))).max(initial=0.0))
     if change < STEEP:
         return []
     return [
         f"the spectrum of the sky changes by up to a factor of {change:.3g} from one bin to the next, and the transfer"
-        " function is that of flat ones; band powers and their chi^2 are biased, most of all in the lowest bins"
+        " function is that of flat ones; band powers and their chi^2 are biased, most of all in the lowest bins:"
+        " score.signal_sims.spectrum = 'sky' measures that of the sky"
     ]
 
 

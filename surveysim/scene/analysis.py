@@ -140,14 +140,17 @@ class Cleaning(Section):
 
 
 class SignalSims(Section):
-    """Signal simulations: CMB skies with a flat band power that measure the transfer function of cleaning."""
+    """Signal simulations: random skies that measure the transfer function of cleaning."""
 
     skies: Annotated[int, *whole(2, 1000)]
     """Number of skies."""
     observations: Annotated[int, *whole(1, 1_000_000)]
     """Largest number of observations with simulated signal: the first 8 of the survey, then pairs that are 10 apart."""
     band_power_ukcmb2: PositiveBandPower = Field(alias="band_power")
-    """Band power of the skies; the transfer function does not depend on it."""
+    """Band power of flat skies; the transfer function does not depend on it."""
+    spectrum: Literal["flat", "sky"] = "flat"
+    """Spectrum of the skies: "flat", or "sky", that of the random sky of [sky]. The transfer function of a bin that
+    scans and cleaning filter unevenly depends on it."""
 
 
 class Reference(Section):

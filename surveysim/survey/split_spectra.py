@@ -87,6 +87,8 @@ class SurveySpectra:
         Expected band powers of the simulated sky; None where it is no spectrum.
     sky_uk2 : (n_bin,), optional
         Band powers of the simulated sky itself, with its sample variance; None without a sky.
+    own_transfer
+        Whether the skies that measure the transfer function have the spectrum of the sky.
     """
 
     splits: dict[str, SplitSpectrum]
@@ -94,6 +96,7 @@ class SurveySpectra:
     transfer_error: np.ndarray
     input_uk2: np.ndarray | None
     sky_uk2: np.ndarray | None
+    own_transfer: bool
 
     @property
     def reported(self) -> SplitSpectrum:
@@ -123,7 +126,8 @@ def survey_spectra(setup: Setup, coadds: CoAdds) -> SurveySpectra:
     splits = {split.name: _split_spectrum(measure, coadds, split) for split in setup.analysis.splits.splits}
     transfer = measure.transfer
     expected = _expected(measure)
-    return SurveySpectra(splits, transfer.transmission, transfer.error, expected, _sky(measure))
+    own = setup.scene.score.signal_sims.spectrum == "sky"
+    return SurveySpectra(splits, transfer.transmission, transfer.error, expected, _sky(measure), own)
 
 
 def bin_edges(setup: Setup) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Correlations of the noise, strips of the layer and skies: parts that all observations of a scene share."""
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -150,12 +151,14 @@ def signal_skies(
     """
     if scene.score is None:
         return None
-    from surveysim.timestreams.sky_maps import central_source, flat_cmb_sky
+    from surveysim.timestreams.sky_maps import central_source, flat_cmb_sky, flat_sky, sky_spectrum_mk2
 
     signal, cmb_per_rj = scene.score.signal_sims, scene.instrument.cmb_per_rj
 
     def sky(number: int, width: float) -> np.ndarray:
         rng = generator(scene.seed, RandomPurpose.SIGNAL_SIM, realization=number)
+        if signal.spectrum == "sky":
+            return flat_sky(geometry, partial(sky_spectrum_mk2, scene.sky, cmb_per_rj), width, rng)
         return flat_cmb_sky(geometry, signal.band_power_ukcmb2, cmb_per_rj, width, rng)
 
     skies = [np.stack([sky(number, width) for width in fwhm_rad]) for number in range(signal.skies)]

@@ -1,11 +1,14 @@
 """Band powers from split maps of simulated surveys against their input, and null tests with and without a fault."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
 from surveysim import load_scene
 from surveysim.reduction.setup import prepare
+from surveysim.results.spectra import spectra_warnings
 from surveysim.survey.run import run_observations
 from surveysim.survey.split_spectra import survey_spectra
 from tests.scenes import SMALL_SCENE, SPECTRA, WIDE_PATCH, without_sections, write_scene
@@ -93,3 +96,18 @@ def test_a_wrong_calibration_fails_the_split_by_array(tmp_path):
     coadds.split_sums[place] *= 1.2
     coadds.split_flipped[place, :, 0] *= 1.2
     assert survey_spectra(setup, coadds).splits["array"].null.chi_squared.pte < 1e-6
+
+
+def test_steep_spectra_with_a_transfer_function_of_their_own(tmp_path):
+    """Band powers as 1 / l^2, cleaned: by flat simulated skies the lowest bin would have half of its power."""
+    ell = np.arange(2, 30_000, 20)
+    lines = [f"{at} {1e5 * (max(at, 200) / 4000) ** -2:.6e}" for at in ell]
+    (tmp_path / "steep.dat").write_text("\n".join(lines))
+    text = without_sections(SMALL_SCENE, "sky", "excess") + '\n[sky]\nspectrum = "steep.dat"\n'
+    own = WIDE_PATCH | {"score.signal_sims.spectrum": "sky", "score.signal_sims.skies": 8}
+    surveys = [measured(tmp_path, text, own | {"seed": 1000 + seed}) for seed in range(N_SEED)]
+    ratio = [item.reported.powers.power_uk2[0] / item.input_uk2[0] for item in surveys]
+    error = np.std(ratio, ddof=1) / np.sqrt(N_SEED)
+    assert error < 0.15 and abs(np.mean(ratio) - 1) < 3 * error
+    assert not any("flat ones" in line for item in surveys for line in spectra_warnings(item))
+    assert any("flat ones" in line for line in spectra_warnings(replace(surveys[0], own_transfer=False)))
