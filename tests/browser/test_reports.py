@@ -63,7 +63,7 @@ def reports(tmp_path_factory):
     (folder / "sds1.toml").write_text(SCENE.replace("seed = 11", "seed = 12"))
     _, failed = reproduce(wanted((2, 3), (1, 2, 6, 16), folder, observations=None), folder / "paper", SERIAL)
     assert failed == []
-    return {"run": (folder / "run", 9), "sweep": (folder / "sweep", 1), "paper": (folder / "paper", 4)}
+    return {"run": (folder / "run", 10), "sweep": (folder / "sweep", 1), "paper": (folder / "paper", 4)}
 
 
 def wrong(browser, path: Path, width: int) -> list[str]:
