@@ -176,6 +176,7 @@ def exact_profile(bins, theory, n_scan=18):
     return Profile(theory, np.nan, free, free + spread[:, None], level)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("i_b, i_h", [(4, 2), (KOLMOGOROV, 3), (8, 6)])
 def test_an_exact_profile_gives_back_its_grid_point(grid, i_b, i_h):
     bins, table = grid

@@ -51,7 +51,7 @@ def _layer_cases() -> list[Case]:
         *(Case(f"wind of {wind}", _LAYER, air.layer, {"atmosphere.wind_median": wind}) for wind in _WINDS),
         Case("layer, b = 20/3, h = 100 m, outer scale of 100 m", _LAYER, air.layer, smooth),
         Case("layer, b = 10, outer scale of 100 m", _LAYER, air.layer, steepest),
-        Case("scan of an hour, outer scale of 10 km", _LAYER, air.layer, _HOUR | _OUTER_SCALE),
+        Case("scan of an hour, outer scale of 10 km", _LAYER, air.layer, _HOUR | _OUTER_SCALE, slow=True),
         Case("layer at rest, 16 directions", still, air.still),
         Case("wind against the scan", turned, air.opposite),
     ]
@@ -299,7 +299,7 @@ def _bound_cases() -> list[Case]:
         ("source behind the tangent plane", behind, "180 deg from the field's centre"),
     ]
     return [
-        Case("every level at its largest", finite, air.drawn, most),
+        Case("every level at its largest", finite, air.drawn, most, slow=True),
         Case("every level at its smallest", finite, air.drawn, least),
         *(Case(name, beyond, air.drawn, keys, refusal=words) for name, keys, words in refused),
     ]

@@ -131,6 +131,7 @@ def test_reference_point_of_the_command_line(call, sweep):
         )
 
 
+@pytest.mark.slow
 def test_interrupted_sweep(sweep):
     """Ctrl-C in a terminal with workers: the hint, whole files of finished points, nobody left behind."""
     values = ", ".join(f'"{speed} arcmin / s"' for speed in np.linspace(3, 5, 30))

@@ -76,6 +76,7 @@ def test_cameras_are_listed_and_copied(empty, call):
     assert call("check", "mine") == (0, f"{target}: 'mine' is a scene that can be run\n1774 detectors\n", "")
 
 
+@pytest.mark.slow
 def test_cameras_are_checked_by_name(empty, call):
     for name in camera_titles():
         path = camera_folder() / f"{name}.toml"

@@ -79,6 +79,7 @@ def test_refused(tmp_path, text, line):
     assert str(caught.value).startswith(f"{path}: {line}") and "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_run_and_a_forecast(tmp_path):
     path, out = sweep_file(tmp_path), tmp_path / "out"
     result = run_sweep(path, out, engine=SERIAL, figures=False)

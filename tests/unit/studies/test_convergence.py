@@ -191,6 +191,7 @@ def test_the_figure_marks_the_scene_and_its_front(result):
         assert any(series.look == "grey" and series.kind == "line" for series in panel.series)
 
 
+@pytest.mark.slow
 def test_a_scene_without_atmosphere_has_no_screen_to_look_at(tmp_path):
     path = tmp_path / "white.toml"
     text = without_sections(SMALL_SCENE, "atmosphere", "excess", "photon", "sky")

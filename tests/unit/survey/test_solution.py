@@ -84,6 +84,7 @@ def test_maps_solve_the_normal_equations_of_the_streams(solved):
     assert np.ptp(sky[coadds.weight[0].ravel() > 0]) > 0
 
 
+@pytest.mark.slow
 def test_bits_do_not_depend_on_workers_or_resumption(solved, tmp_path):
     setup, checkpoint, coadds = solved
     assert same(run_observations(setup, checkpoint, nodes=finished_sums(setup, checkpoint)), coadds)
