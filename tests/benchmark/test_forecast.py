@@ -22,6 +22,6 @@ def test_apodized_sums(benchmark):
     rng = np.random.default_rng(1)
     strength, power, transfer = rng.random((1000, 512)), rng.random((3, 512)), rng.random(641)
     frequency, at, mean = rng.uniform(-4, 4, 512), rng.uniform(-3, 3, 1000), rng.random(512)
-    losses = np.zeros(0), np.zeros((1000, 0)), np.zeros((0, 512))
+    losses = np.zeros(0), np.zeros((1000, 0)), np.zeros((0, 512)), np.zeros((0, 0))  # no fitted modes, no filters
     sums = (strength, power, frequency, at, transfer, 160.0, mean, np.zeros(512), *losses)
     benchmark.pedantic(apodized_sums, args=sums, rounds=10, warmup_rounds=1)
