@@ -15,7 +15,7 @@ import pytest
 
 from tests.fuzz.outcomes import BAD
 
-FEW, MANY = 12, 180
+FEW, MANY = 12, 90
 SHOWN = 25
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits memory through /proc")
