@@ -45,7 +45,7 @@ class MappedFile:
 
     @property
     def off_map(self) -> tuple[Dropped, ...]:
-        """What looks beyond the edge of the map."""
+        """Samples that look beyond the edge of the map."""
         item, missed = self.item, 0
         for (start, stop), used in zip(item.bounds, item.used.T, strict=True):
             good = ~item.streams.flags[:, start:stop] & used[:, None]

@@ -25,7 +25,7 @@ from mapmaker.pipeline.sums import MapSums
 
 @dataclass(frozen=True)
 class FileRecord:
-    """What became of one file.
+    """Use of one file: whether it is in the map, and how much of it.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ def clean_and_map(
 
 @dataclass(frozen=True)
 class _Outcome:
-    """What became of one file, of its detectors, and what was left out of it."""
+    """Records of one file and its detectors, and the data left out of it."""
 
     file: FileRecord
     detectors: tuple[DetectorRecord, ...]

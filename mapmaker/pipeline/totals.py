@@ -1,4 +1,4 @@
-"""What was left out, added up over files for people."""
+"""Data left out of a map, added up over files for the terminal and the report."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -36,6 +36,7 @@ _OF_CHUNKS = (
     "Filters in time are those of a chunk whose middle crosses the middle of the patch; others lose more at their ends,"
     " by about a tenth of sigma(A)."
 )
+_OF_BINNED = "The forecast is that of a binned map: the bright pixels that an iterative map restores are not known."
 
 
 @dataclass(frozen=True)
@@ -148,6 +149,8 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
         yield _discarded(inputs.kept)
     if inputs.taken is not None:
         yield _map_maker(setup.scene.map.maker, float(inputs.taken @ inputs.share))
+    if setup.scene.map.maker == "iterative":
+        yield NeglectedEffect("map-maker", None, _OF_BINNED, True)
     if setup.scene.turbulent:
         yield _repeated_layer(setup, inputs)
         if inputs.pipeline.spatial_step != "none":

@@ -13,7 +13,7 @@ from surveysim.results.sky_tables import flux_table, sky_transfer_table
 from surveysim.results.spectra import split_spectra_table
 from surveysim.results.tables import alternative_table, score_table
 from surveysim.runtime.table import Column, Table, file_column
-from surveysim.survey.coadds import row_names
+from surveysim.survey.rows import row_names
 from surveysim.telescope.scans import samples_per_scan
 
 if TYPE_CHECKING:

@@ -123,15 +123,7 @@ def observe(
     analysis = setup.analysis
     maps = {name: _plane(analysis.geometry, setup.stream_type, *item) for name, item in sums.maps.items()}
     exposure = {name: sums.exposure.get(name, item[1]).reshape(item[1].shape) for name, item in maps.items()}
-    worth, best = None, 0
-    if analysis.chooses:
-        with watch("figure_of_merit"):
-            names = [pipeline.data_set for pipeline in analysis.whole_pipelines]
-            of_pipelines = [(maps[name][0], exposure[name]) for name in names]
-            worth = figures_of_merit(analysis, transfer_functions(setup), of_pipelines)
-        best = max(0, int(best_places(worth[:, 0])))
-        chosen = analysis.whole_pipelines[best].data_set
-        maps[OPTIMAL], exposure[OPTIMAL] = maps[chosen], exposure[chosen]
+    worth, best = _choose(setup, maps, exposure, watch)
     ordered = [maps[name] for name in analysis.data_set_names]
     total, hits = (np.stack(planes) for planes in zip(*ordered, strict=True))
     weights = np.stack([exposure[name] for name in analysis.data_set_names]) if sums.exposure else hits
@@ -249,6 +241,25 @@ def _add_right_side(sums: _Sums, part: CleanedBlock, watch: Stopwatch) -> None:
             probe = probe_map(setup.analysis.geometry).reshape(1, -1).astype(setup.stream_type)
             add_normal(normal, probe, sums.probe[None])
     sums.noise_weights.append(block_weights(part.block, pipeline.rows, normal, part.streams.flags))
+
+
+def _choose(
+    setup: Setup, maps: dict[str, Map], exposure: dict[str, np.ndarray], watch: Stopwatch
+) -> tuple[np.ndarray | None, int]:
+    """Add the optimal set, the maps of the best pipeline; returns the figures of merit and the place of the best.
+
+    None and 0 where pipelines are not compared.
+    """
+    analysis = setup.analysis
+    if not analysis.chooses:
+        return None, 0
+    with watch("figure_of_merit"):
+        names = [pipeline.data_set for pipeline in analysis.whole_pipelines]
+        of_pipelines = [(maps[name][0], exposure[name]) for name in names]
+        worth = figures_of_merit(analysis, transfer_functions(setup), of_pipelines)
+    best = max(0, int(best_places(worth[:, 0])))
+    maps[OPTIMAL], exposure[OPTIMAL] = maps[names[best]], exposure[names[best]]
+    return worth, best
 
 
 def _map_noise(

@@ -20,8 +20,8 @@ from surveysim.results.stopping import TOLD_ERRORS
 from surveysim.runtime.provenance import made_by, now
 from surveysim.runtime.strict_json import known
 from surveysim.scene.scene import scene_hash
-from surveysim.survey.coadds import row_names
 from surveysim.survey.convergence import map_maker_entry
+from surveysim.survey.rows import row_names
 from surveysim.survey.scores import DataSetScore
 from surveysim.telescope.scans import samples_per_scan
 
@@ -66,19 +66,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
     if result.unscored:
         content["unscored"] = result.unscored
     if result.scores:
-        expected = result.expected.scores if result.expected else {}
-        content["estimate"] = known(vars(result.estimate))
-        content["scores"] = score_entries(result)
-        content["metrics"] = metric_entries(result.metrics)
-        content["error_budget"] = {name: known(_budget_entry(item)) for name, item in result.scores.items()}
-        agreements = forecast_agreement(result)
-        content["forecast_over_simulated"] = {name: known(vars(item)) for name, item in agreements.items()}
-        content["forecast"] = {name: _forecast_entry(item) for name, item in expected.items()}
-        content["gains"] = {name: known(vars(item)) for name, item in result.gains.items()}
-        content["alternatives"] = result.alternatives
-        if not np.isnan(setup.analysis.region.scored_correlation):
-            content["bin_correlation"] = setup.analysis.region.scored_correlation
-        content["time_to_precision"] = [vars(cost) for cost in map(result.cost, TOLD_ERRORS) if cost]
+        content |= _scored_entries(result)
     if result.sky:
         content["own_sky"] = sky_entry(result.sky)
     if result.spectra:
@@ -93,6 +81,25 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "stage_ns_per_detector_sample": {k: 1e9 * v / samples for k, v in coadds.seconds.items()},
     }
     return content
+
+
+def _scored_entries(result: SurveyResult) -> dict[str, Any]:
+    """Entries of a run with a score."""
+    expected = result.expected.scores if result.expected else {}
+    region, entries = result.setup.analysis.region, dict[str, Any]()
+    entries["estimate"] = known(vars(result.estimate))
+    entries["scores"] = score_entries(result)
+    entries["metrics"] = metric_entries(result.metrics)
+    entries["error_budget"] = {name: known(_budget_entry(item)) for name, item in result.scores.items()}
+    agreements = forecast_agreement(result)
+    entries["forecast_over_simulated"] = {name: known(vars(item)) for name, item in agreements.items()}
+    entries["forecast"] = {name: _forecast_entry(item) for name, item in expected.items()}
+    entries["gains"] = {name: known(vars(item)) for name, item in result.gains.items()}
+    entries["alternatives"] = result.alternatives
+    if not np.isnan(region.scored_correlation):
+        entries["bin_correlation"] = region.scored_correlation
+    entries["time_to_precision"] = [vars(cost) for cost in map(result.cost, TOLD_ERRORS) if cost]
+    return entries
 
 
 def _cleaning_entry(pipeline: CleaningPipeline, result: SurveyResult, columns: dict[str, np.ndarray]) -> dict[str, Any]:

@@ -216,12 +216,12 @@ class Sky(Section):
 
     @property
     def is_spectrum(self) -> bool:
-        """Whether the sky has a spectrum and nothing else."""
+        """Return whether the sky has a spectrum and nothing else."""
         return not (self.maps or self.catalogues or self.clusters or self.point_sources)
 
     @property
     def is_random(self) -> bool:
-        """Whether a part of the sky is drawn at random."""
+        """Return whether a part of the sky is drawn at random."""
         return self.cmb_band_power_ukcmb2 is not None or self.spectrum is not None
 
     @model_validator(mode="before")

@@ -21,7 +21,8 @@ from surveysim.reduction.setup import Setup
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import survey_hash
 from surveysim.survey.coadd_tree import is_node
-from surveysim.survey.coadds import LISTS, CoAdds, array_names, empty_coadds, row_names
+from surveysim.survey.coadds import LISTS, CoAdds, array_names, empty_coadds
+from surveysim.survey.rows import row_names
 from surveysim.telescope.scans import samples_per_scan
 
 NAME, WEIGHTS = "checkpoint.h5", "noise_weights"

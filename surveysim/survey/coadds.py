@@ -20,17 +20,8 @@ from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.scene import Scene
 from surveysim.scene.spectra import NIGHT
 from surveysim.survey.kernels import add_signed
+from surveysim.survey.rows import ROW_FIELDS, row_names, row_of
 
-ROW_FIELDS = (
-    "observation",
-    "b2_mk2",
-    "wind_speed_rad_s",
-    "wind_angle_rad",
-    "pwv_mm",
-    "elevation_rad",
-    "white_mk2_hz",
-    "flagged",
-)
 _OF_SIGNALS = ("signal_maps", "signal_weight")
 _OF_SPLITS = ("split_sums", "split_weight", "split_flipped")
 _ARRAYS = ("sums", "weight", "hits", "flipped", *_OF_SIGNALS, *_OF_SPLITS)
@@ -234,7 +225,7 @@ def observation_sums(analysis: AnalysisSetup, result: ObservationResult) -> CoAd
         np.multiply(weights[:, None, None], result.exposure, dtype=float),
         result.hits.astype(np.int64),
         **_empty_patches(analysis, flips=False),
-        rows=[_row(result)],
+        rows=[row_of(result)],
         bin_noise=[result.bin_noise_mk2],
         raw_psd=[result.raw_psd],
         clean_psd=[result.clean_psd],
@@ -396,31 +387,3 @@ def _add_split_maps(analysis: AnalysisSetup, coadds: CoAdds, result: Observation
             found, first = (result.split_sums[own], result.split_exposure[own]), own.stop
         coadds.split_sums[maps] = np.multiply(weight, found[0], dtype=float)
         coadds.split_weight[maps] = np.multiply(weight, found[1], dtype=float)
-
-
-def _row(result: ObservationResult) -> tuple[float, ...]:
-    weather = result.weather
-    drawn = (np.nan,) * 4
-    if weather is not None:
-        drawn = (weather.b2, weather.wind_speed_rad_s, weather.wind_angle_rad, weather.pwv_mm)
-    conditions = (result.observation, *drawn, result.elevation_rad, result.white_mk2_hz, result.flagged)
-    cleaning = (*result.discarded, *result.iterations, *result.removed)
-    figures_of_merit = () if result.figures_of_merit is None else result.figures_of_merit.T.ravel()
-    return (*conditions, *cleaning, *figures_of_merit, *result.noise_mk2)
-
-
-def row_names(analysis: AnalysisSetup) -> list[str]:
-    """List the names of the values in a row of `CoAdds.rows`."""
-    of_pipelines = [
-        f"{what}_{pipeline.data_set}"
-        for what in ("discarded", "iterations", "removed")
-        for pipeline in analysis.pipelines
-    ]
-    whole = analysis.whole_pipelines if analysis.chooses else ()
-    figures_of_merit = [f"merit_{target}_{pipeline.data_set}" for target in TARGETS for pipeline in whole]
-    return [
-        *ROW_FIELDS,
-        *of_pipelines,
-        *figures_of_merit,
-        *(f"noise_mk2_{name}" for name in analysis.data_set_names),
-    ]

@@ -7,8 +7,8 @@ from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.results.results import SurveyResult
 from surveysim.runtime.errors import InsufficientDataError
-from surveysim.survey.coadds import row_names
 from surveysim.survey.error_modes import gain
+from surveysim.survey.rows import row_names
 from surveysim.survey.scores import DataSetScore, rescore
 
 LOOKS = ("blue", "green", "vermilion", "purple", "orange", "sky")  # colours of the pipelines, in their order

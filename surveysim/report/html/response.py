@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
+from surveysim.report.html.quantities import arcsec
 from surveysim.runtime.numbers import joined, short
 from surveysim.timestreams.response import RESPONSE_STEPS, ResponseStep
 
@@ -67,20 +68,16 @@ def _pointing_errors(section: Values) -> Iterator[str]:
     if section["jitter_rad"]:
         band = section["jitter_bandwidth_hz"]
         fast = "in each sample" if band is None else f"of a bandwidth of {short(band)} Hz"
-        yield f"Jitter of {_arcsec(section['jitter_rad'])} {fast}."
+        yield f"Jitter of {arcsec(section['jitter_rad'])} {fast}."
     if section["drift_rad"]:
-        yield f"A drift of {_arcsec(section['drift_rad'])} within {short(section['drift_time_scale_s'])} s."
+        yield f"A drift of {arcsec(section['drift_rad'])} within {short(section['drift_time_scale_s'])} s."
     if section["positions_rad"]:
-        yield f"Positions of detectors are wrong by {_arcsec(section['positions_rad'])}."
+        yield f"Positions of detectors are wrong by {arcsec(section['positions_rad'])}."
     yield "All are the rms along an axis."
 
 
 def _percent(share: float) -> str:
     return f"{_rounded(100 * share)} %"
-
-
-def _arcsec(angle_rad: float) -> str:
-    return f"{_rounded(math.degrees(angle_rad) * 3600)} arcsec"
 
 
 def _rounded(value: float) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 
 from surveysim.reduction.signal_sims import carriers
 from surveysim.report.html.components import Block, Terms
+from surveysim.report.html.quantities import arcmin, arcsec, deg, degrees, hours, listed, percent, span
 from surveysim.report.html.readout import DESCRIPTIONS
 from surveysim.report.html.response import response_terms
 from surveysim.report.html.scan_words import scan_words
@@ -82,16 +83,16 @@ def cleaning_words(steps: list[str]) -> str:
 
 def _field(scene: Values) -> Iterator[str]:
     field = scene["field"]
-    yield f"Centred on right ascension {_hours(field['ra_rad'])}, declination {_degrees(field['dec_rad'])} (J2000)."
+    yield f"Centred on right ascension {hours(field['ra_rad'])}, declination {degrees(field['dec_rad'])} (J2000)."
     if fixed := scene["fixed_pointing"]:
-        elevation, parallactic = _deg(fixed["elevation_rad"]), _deg(fixed["parallactic_angle_rad"])
+        elevation, parallactic = deg(fixed["elevation_rad"]), deg(fixed["parallactic_angle_rad"])
         yield f"The telescope stays at an elevation of {elevation}° and a parallactic angle of {parallactic}°."
     if plan := scene["schedule"]:
         yield (
-            f"Observed from latitude {_deg(plan['latitude_rad'])}°, longitude {_deg(plan['longitude_rad'])}°,"
+            f"Observed from latitude {deg(plan['latitude_rad'])}°, longitude {deg(plan['longitude_rad'])}°,"
             f" {short(plan['height_m'])} m high, in {plural(plan['nights'], 'night')} from {plan['first_night']},"
             f" within {short(math.degrees(plan['max_hour_angle_rad']) / 15)} h of transit and above"
-            f" {_deg(plan['min_elevation_rad'])}°."
+            f" {deg(plan['min_elevation_rad'])}°."
         )
 
 
@@ -99,7 +100,7 @@ def _observations(scene: Values) -> Iterator[str]:
     scan = scene["scan"]
     yield f"{plural(scene['observations'], 'observation')} of {scan_words(scan)}"
     if scan["dither_rad"]:
-        yield f"Each observation is offset at random within {_arcmin(scan['dither_rad'])}."
+        yield f"Each observation is offset at random within {arcmin(scan['dither_rad'])}."
     yield f"Detectors are sampled at {short(scan['sample_rate_hz'])} Hz."
 
 
@@ -108,31 +109,31 @@ def _layout(layout: Values, f_lambda_rad: float) -> str:
     shape, side = layout.get("shape", "hexagon"), layout.get("side")
     extent = f"a {shape} of {side} by {side}" if side is not None else f"{layout['rings']} rings"
     if layout["field_of_view_rad"] is not None:
-        extent = f"a field of view of {_arcmin(layout['field_of_view_rad'])}"
+        extent = f"a field of view of {arcmin(layout['field_of_view_rad'])}"
     lattice = "on a square lattice" if shape == "square" else "hexagonal"
     pitch = f"{short(layout['pitch_f_lambda'])} (f/#)λ"
     dead = f", {len(layout['dead'])} of them dead" if layout["dead"] else ""
     rest = "the others" if layout["dead"] else "them"
-    lost = f", {_percent(layout['yield_fraction'])} of {rest} working" if layout.get("yield_fraction", 1) < 1 else ""
-    width = _arcsec(layout["pitch_f_lambda"] * f_lambda_rad)
+    lost = f", {percent(layout['yield_fraction'])} of {rest} working" if layout.get("yield_fraction", 1) < 1 else ""
+    width = arcsec(layout["pitch_f_lambda"] * f_lambda_rad)
     return f"Positions are {lattice} over {extent}, neighbours {pitch} apart ({width}){dead}{lost}."
 
 
 def _camera(camera: Values, n_det: int, behind: str) -> Iterator[str]:
     yield f"{plural(n_det, 'detector')} {band_of(camera)},"
-    yield f"with a beam of {_arcsec(camera['beam_fwhm_rad'])} (FWHM); (f/#)λ is {_arcsec(camera['f_lambda_rad'])}."
+    yield f"with a beam of {arcsec(camera['beam_fwhm_rad'])} (FWHM); (f/#)λ is {arcsec(camera['f_lambda_rad'])}."
     if camera["layout"]:
         yield _layout(camera["layout"], camera["f_lambda_rad"])
     for index, wafer in enumerate(camera.get("wafers", ())):
-        place = f"({_arcmin(wafer['offset_x_rad'])}, {_arcmin(wafer['offset_y_rad'])})"
-        turned = f", turned by {_deg(wafer['rotation_rad'])}°" if wafer["rotation_rad"] else ""
+        place = f"({arcmin(wafer['offset_x_rad'])}, {arcmin(wafer['offset_y_rad'])})"
+        turned = f", turned by {deg(wafer['rotation_rad'])}°" if wafer["rotation_rad"] else ""
         yield f"Wafer {index} is at {place}{turned}. {_layout(wafer, camera['f_lambda_rad'])}"
     if camera["positions"]:
         chosen = f", its band {camera['table_band']}" if camera.get("table_band") else ""
         yield f"Detectors come from the table {PurePath(camera['positions']).name}{chosen}."
-    yield f"Responsivities scatter by {_percent(camera['responsivity_scatter'])}."
+    yield f"Responsivities scatter by {percent(camera['responsivity_scatter'])}."
     if camera["camera_rotation_range_rad"]:
-        yield f"The camera angle varies within {_deg(camera['camera_rotation_range_rad'])}° between observations."
+        yield f"The camera angle varies within {deg(camera['camera_rotation_range_rad'])}° between observations."
     if camera["horn_f_lambda"] is not None:
         mode = " with the HE11 mode" if camera["illumination"] == "he11" else ""
         yield f"Horns{mode} are {short(camera['horn_f_lambda'])} (f/#)λ wide."
@@ -141,7 +142,7 @@ def _camera(camera: Values, n_det: int, behind: str) -> Iterator[str]:
     if camera["edge_taper_db"] is not None:
         yield f"Pixels illuminate the stop with an edge taper of {short(camera['edge_taper_db'])} dB."
     if camera["efficiency"] is not None:
-        yield f"The efficiency from {behind} to detector is {_percent(camera['efficiency'])}."
+        yield f"The efficiency from {behind} to detector is {percent(camera['efficiency'])}."
     if camera["polarizations"] is not None:
         yield f"Detectors absorb {plural(camera['polarizations'], 'polarization')}."
 
@@ -156,7 +157,7 @@ def band_of(camera: Values) -> str:
     """Name the band of a camera: its frequency and width, or its table."""
     if camera["passband"]:
         return f"in the band {PurePath(camera['passband']).name}"
-    width = f", {_percent(camera['bandwidth'])} wide" if camera["bandwidth"] else ""
+    width = f", {percent(camera['bandwidth'])} wide" if camera["bandwidth"] else ""
     return f"at {short(camera['frequency_hz'] / 1e9)} GHz{width}"
 
 
@@ -174,7 +175,7 @@ def _atmosphere(air: Values) -> Iterator[str]:
     yield f"{short(air['illuminated_aperture_m'])} m, with the spectrum B2 α^(-{index})."
     for layer in air["layers"]:
         factor, turn = short(layer["wind_factor"]), short(math.degrees(layer["wind_turn_rad"]))
-        yield f"{layer['name']}: {_percent(layer['share'])} of B2, {short(layer['height_m'])} m above the telescope,"
+        yield f"{layer['name']}: {percent(layer['share'])} of B2, {short(layer['height_m'])} m above the telescope,"
         yield f"with {factor} times the speed of the drawn wind in m/s, turned by {turn} deg."
     if air["outer_scale_m"] is not None:
         yield f"Its outer scale is {short(air['outer_scale_m'])} m."
@@ -184,11 +185,11 @@ def _atmosphere(air: Values) -> Iterator[str]:
     unit = b2_unit(air["spectral_index"])
     if air["b2"]:
         levels = ", ".join(short(100 * level) for level in air["b2_probabilities"])
-        yield f"B2 is drawn for each observation, with the quantiles {_list(air['b2'])} {unit} at {levels} %."
+        yield f"B2 is drawn for each observation, with the quantiles {listed(air['b2'])} {unit} at {levels} %."
     else:
         yield "B2 of each observation follows from its water and water fluctuation."
     wind = air["wind_median_rad_s"]
-    yield f"Winds have a median of {_arcmin(wind)}/s ({number(wind * air['layer_height_m'])} m/s at"
+    yield f"Winds have a median of {arcmin(wind)}/s ({number(wind * air['layer_height_m'])} m/s at"
     yield f"{short(air['layer_height_m'])} m), a scatter of {short(air['wind_log_scatter'])} in the logarithm"
     yield "and all directions."
     if air["wind_drift"]:
@@ -215,9 +216,9 @@ def _layers(air: Values) -> str:
 
 def _excess(excess: Values) -> Iterator[str]:
     variances = excess["variance_mk2"]
-    yield f"Low-frequency noise of {_span(variances)} mK2 below {short(excess['band_limit_hz'])} Hz"
+    yield f"Low-frequency noise of {span(variances)} mK2 below {short(excess['band_limit_hz'])} Hz"
     if len(variances) > 1:
-        yield f"(growing with B2 from {_span(excess['b2'])}),"
+        yield f"(growing with B2 from {span(excess['b2'])}),"
     yield f"spectrum f^(-{short(excess['spectral_index'])}). Neighbours share it {COHERENCES[excess['coherence']]}."
 
 
@@ -238,7 +239,7 @@ def _optics(optics: Values) -> Iterator[str]:
 
 def _loss(element: Values, kind: str) -> str:
     value = element[kind]
-    return f"{kind} {PurePath(value).name if isinstance(value, str) else _percent(value)}"
+    return f"{kind} {PurePath(value).name if isinstance(value, str) else percent(value)}"
 
 
 def _photon(photon: Values) -> Iterator[str]:
@@ -252,11 +253,11 @@ def _photon(photon: Values) -> Iterator[str]:
         yield f"Neighbours share {of} {COHERENCES[photon['coherence']]}."
     else:
         share, how = photon["coherent_fraction"], photon["coherence"]
-        shared = f"{_percent(share)} of it common to neighbours {COHERENCES[how]}"
+        shared = f"{percent(share)} of it common to neighbours {COHERENCES[how]}"
         if how == "hbt":
             bose, stop = photon["bose_fraction"], photon["stop_fraction"]
-            shared = f"{_percent(bose)} of it from bunching, {_percent(share)} of the load through the beam"
-            shared += f" and {_percent(stop)} from the stop;" if stop else ";"
+            shared = f"{percent(bose)} of it from bunching, {percent(share)} of the load through the beam"
+            shared += f" and {percent(stop)} from the stop;" if stop else ";"
             share += stop or 0.0
             shared += f" neighbours share the bunching of that part {COHERENCES[how]}"
             share *= bose
@@ -343,7 +344,7 @@ def _values(value: Any) -> str:
 
 
 def _map(scene: Values) -> Iterator[str]:
-    yield f"Pixels of {_arcsec(scene['map']['pixel_rad'])}, binned, in a tangent plane."
+    yield f"Pixels of {arcsec(scene['map']['pixel_rad'])}, binned, in a tangent plane."
     if scene["map"]["healpix_nside"]:
         yield f"Also as HEALPix maps at nside {scene['map']['healpix_nside']}."
 
@@ -358,8 +359,8 @@ def _numerics(numerics: Values) -> Iterator[str]:
 def _score(score: Values, observations: int) -> Iterator[str]:
     yield "σ(A), the uncertainty of the amplitude A of a flat CMB band power,"
     yield f"from multipoles {score['ell_min']} to {score['ell_max']} in bins of {score['ell_bin']},"
-    edges = _percent(score["taper_fraction"])
-    yield f"over {_arcmin(score['size_rad'])} square, with cosine edges on {edges} of each side."
+    edges = percent(score["taper_fraction"])
+    yield f"over {arcmin(score['size_rad'])} square, with cosine edges on {edges} of each side."
     yield f"The noise is measured by {score['jackknives']} co-adds with random signs, the transfer function by"
     through = int(carriers(score["signal_sims"]["observations"], observations).sum())
     yield f"{score['signal_sims']['skies']} skies through {plural(through, 'observation')}."
@@ -368,46 +369,3 @@ def _score(score: Values, observations: int) -> Iterator[str]:
         others.append(f"an array masked to {short(score['mask_separation_f_lambda'])} (f/#)λ")
     if others:
         yield f"Also scored: {joined(others)}."
-
-
-# ---------------------------------------------------------------- units
-
-
-def _arcmin(rad: float) -> str:
-    return f"{short(_clean(math.degrees(rad) * 60))} arcmin"
-
-
-def _arcsec(rad: float) -> str:
-    return f"{short(float(f'{math.degrees(rad) * 3600:.4g}'))} arcsec"
-
-
-def _percent(share: float) -> str:
-    return f"{short(_clean(100 * share))} %"
-
-
-def _deg(rad: float) -> str:
-    return short(_clean(math.degrees(rad)))
-
-
-def _clean(value: float) -> float:
-    """Remove the rounding errors of conversions to radians and back."""
-    return float(f"{value:.6g}")
-
-
-def _hours(rad: float) -> str:
-    seconds = round(math.degrees(rad) / 15 * 3600, 1) % 86400
-    return f"{int(seconds // 3600):02d}h {int(seconds // 60 % 60):02d}m {short(seconds % 60)}s"
-
-
-def _degrees(rad: float) -> str:
-    seconds = round(abs(math.degrees(rad)) * 3600, 1)
-    sign = "−" if rad < 0 else "+"
-    return f"{sign}{int(seconds // 3600):02d}° {int(seconds // 60 % 60):02d}′ {short(seconds % 60)}″"
-
-
-def _list(values: list[float]) -> str:
-    return ", ".join(short(value) for value in values)
-
-
-def _span(values: list[float]) -> str:
-    return short(values[0]) if len(values) == 1 else f"{short(values[0])} to {short(values[-1])}"

@@ -21,7 +21,7 @@ from surveysim.results.tables import agreement_table
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
 from surveysim.runtime.strict_json import known
-from surveysim.survey.coadds import ROW_FIELDS
+from surveysim.survey.rows import ROW_FIELDS
 from surveysim.telescope.scans import samples_per_scan
 from tests.scenes import SMALL_SCENE, with_scan
 
@@ -256,6 +256,8 @@ def test_solved_maps_have_the_effects_of_their_maker(scene_of):
         for baseline in (6, 0.5)
     ]
     assert sizes[0] < 0.15 < 0.5 < sizes[1]
+    iterative = effects_of(scene_of(text, map__maker="iterative"))["map-maker"]
+    assert iterative.flagged and iterative.size is None and "map-maker" not in effects_of(scene_of(text))
 
 
 # ---------------------------------------------------------------- agreement

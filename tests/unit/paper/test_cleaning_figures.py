@@ -27,8 +27,8 @@ from surveysim.paper.measured_survey import MeasuredSurvey
 from surveysim.reduction.setup import prepare
 from surveysim.results.results import SurveyResult, survey_result
 from surveysim.scene.scene import load_scene
-from surveysim.survey.coadds import row_names
 from surveysim.survey.error_modes import gain
+from surveysim.survey.rows import row_names
 from surveysim.survey.run import run_observations
 from surveysim.survey.scores import rescore
 from tests.scenes import write_scene

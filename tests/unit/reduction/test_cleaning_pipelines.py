@@ -17,7 +17,7 @@ from surveysim.results.summary import best_pipeline
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
-from surveysim.survey.coadds import row_names
+from surveysim.survey.rows import row_names
 from tests.scenes import write_scene
 
 FILTERS = {

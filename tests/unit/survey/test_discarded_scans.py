@@ -20,7 +20,6 @@ from surveysim.runtime.engine import SERIAL
 from surveysim.studies.sweep.comparison import compare
 from surveysim.studies.sweep.result import FORECAST_WEATHER, pairs
 from surveysim.survey import run as survey
-from surveysim.survey.coadds import row_names
 from surveysim.survey.discarded_scans import (
     Discards,
     competing,
@@ -29,6 +28,7 @@ from surveysim.survey.discarded_scans import (
     sweep_warnings,
     why_withheld,
 )
+from surveysim.survey.rows import row_names
 from surveysim.survey.run import run_observations
 from surveysim.survey.scores import score_survey
 from tests.pages import read_page, rows_of
