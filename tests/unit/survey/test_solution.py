@@ -1,5 +1,7 @@
 """Maps that are solved for, and iterative ones: the right equations, the same bits, nothing lost."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,10 +11,12 @@ from surveysim import load_scene, run
 from surveysim.reduction.cleaned_block import reduce_block
 from surveysim.reduction.noise_weights import normal_blocks, weights_file
 from surveysim.reduction.setup import prepare
+from surveysim.results.control_variate import expected_variation, quoted_scores
 from surveysim.runtime.engine import SERIAL, Engine
 from surveysim.runtime.errors import InputError, SceneError
 from surveysim.survey.checkpoint import CheckpointError
 from surveysim.survey.run import finished_sums, run_observations
+from surveysim.survey.scores import score_survey
 from surveysim.timestreams.observation import Stopwatch
 from surveysim.timestreams.simulation import observation_path
 from tests.scenes import write_scene
@@ -82,6 +86,34 @@ def test_maps_solve_the_normal_equations_of_the_streams(solved):
     assert all(item.converged for item in coadds.convergence) and len(coadds.convergence) == 2
     assert np.linalg.norm(matrix @ sky - right) < 2e-4 * np.linalg.norm(right)
     assert np.ptp(sky[coadds.weight[0].ravel() > 0]) > 0
+
+
+def test_maximum_likelihood_maps_are_scored_less_a_plane(solved):
+    """A gradient of the noise, or of what cleaning leaves of the sky, changes the scores of destriped maps alone."""
+    setup, _, coadds = solved
+    rows, columns = np.indices(setup.analysis.region.taper.shape)
+    plane = 3.0 + 0.2 * rows - 0.1 * columns
+    signal_maps = coadds.signal_maps.copy()
+    signal_maps[:, :, 1] += 1e-3 * plane * coadds.signal_weight
+    patch = setup.analysis.region.patch
+    flipped = coadds.flipped + plane * coadds.weight[:, patch, patch]
+    assert (coadds.weight[0, patch, patch] > 0).all() and (coadds.signal_weight > 0).all()
+    tilted = score_survey(setup, replace(coadds, flipped=flipped, signal_maps=signal_maps))["actual"]
+    plain = score_survey(setup, coadds)["actual"]
+    same_noise = np.isclose(tilted.noise_psd, plain.noise_psd, rtol=1e-6)
+    same_signal = np.isclose(tilted.transfer_function.transmission, plain.transfer_function.transmission, rtol=1e-6)
+    expected = setup.scene.map.maker == "maximum_likelihood"
+    assert same_noise.all() == same_signal.all() == expected
+
+
+def test_few_observations_have_the_error_of_the_weather_that_a_forecast_expects(solved):
+    setup, _, coadds = solved
+    plain, quoted = score_survey(setup, coadds)["actual"], quoted_scores(setup, coadds)["actual"]
+    assert coadds.done == 4 and np.isnan(plain.band.error_ukcmb2)
+    assert quoted.budget.weather == pytest.approx(expected_variation(setup) / 2)
+    assert 0.05 < quoted.budget.weather < 0.5
+    assert quoted.band.error_ukcmb2 == pytest.approx(quoted.budget.total * plain.band.sigma_ukcmb2)
+    assert quoted.band.sigma_ukcmb2 == plain.band.sigma_ukcmb2
 
 
 @pytest.mark.slow
@@ -174,8 +206,6 @@ def test_passes_that_are_interrupted_go_on(tmp_path):
 
 def test_streams_less_the_bright_sky(tmp_path):
     """What is cleaned differs from the streams by the sky at the pixel of each sample."""
-    from dataclasses import replace
-
     setup = prepare(scene(tmp_path, ITERATIVE))
     geometry, rng = setup.analysis.geometry, np.random.default_rng(1)
     sky = rng.normal(size=(geometry.n_y, geometry.n_x))
