@@ -7,7 +7,6 @@ import numpy as np
 from mapmaker.cleaning import TIME_FILTERS
 from surveysim.forecasting.destriped import destriped_noise
 from surveysim.forecasting.likelihood import COMPONENTS, MOST_DETECTORS, STEPS, likelihood_sums
-from surveysim.forecasting.mode_mixing import mode_mixing
 from surveysim.forecasting.observation_weights import expected_weights
 from surveysim.forecasting.observing_conditions import ObservingConditions
 from surveysim.forecasting.solved_maps import ObservationNoise, solved_bins
@@ -45,16 +44,14 @@ def solved_map(
     setup: Setup, pipeline: CleaningPipeline, conditions: ObservingConditions, share: np.ndarray
 ) -> SolvedMapNoise:
     """Forecast the map of a survey with fractions of kept samples (n_obs,), by the map-maker of the scene."""
+    tracks = track_motions(setup)
     if setup.scene.map.maker == "destriped":
         found = destriped_noise(setup, pipeline, conditions, baseline_samples(setup))
         weight = expected_weights(setup.analysis, found.each.noise)
-        modes, sums, each = found.modes, found.sums(weight, share), found.each
-    else:
-        modes, sums, each = likelihood_sums(setup, pipeline, conditions, share, noise_options(setup.scene.map))
-        weight = expected_weights(setup.analysis, each.noise)
-    noise, transmission = solved_bins(modes, sums, track_motions(setup))
-    mixing = mode_mixing(setup.analysis.region, setup.scene.score)
-    return SolvedMapNoise(mixing.mixed(noise), transmission, weight, each)
+        return SolvedMapNoise(*solved_bins(found.modes, found.sums(weight, share), tracks), weight, found.each)
+    options = noise_options(setup.scene.map)
+    modes, sums, each = likelihood_sums(setup, pipeline, conditions, share, options)
+    return SolvedMapNoise(*solved_bins(modes, sums, tracks), expected_weights(setup.analysis, each.noise), each)
 
 
 def why_not_solved(setup: Setup) -> str | None:

@@ -1,4 +1,4 @@
-"""Mixing of multipoles by the map's taper across the scans.
+"""Mixing of multipoles of a layer by the map's taper across the scans.
 
 The taper along a scan is part of the leakage between frequencies (`surveysim.forecasting.scan_apodization`). Across it
 the taper t spreads the noise N of map modes over |t(q)|^2, the power spectrum of its profile. Averaged over a bin and

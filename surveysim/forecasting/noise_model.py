@@ -176,12 +176,11 @@ def _track_mean(parts: list[Noise]) -> Noise:
 
 
 def _mixed(parts: dict[ClosedForm, Noise], mixing: ModeMixing) -> dict[ClosedForm, Noise]:
-    """Mix the bins of each term by the map's taper; those of noise-only sets, alike across the scans, need none."""
-
-    def of_part(part: Noise) -> Noise:
-        return lambda conditions: mixing.mixed(part(conditions))
-
-    return {term: of_part(part) for term, part in parts.items()}
+    """Mix the bins of the layers by the map's taper. Noise of the detectors is about the same across the scans."""
+    if layers not in parts:
+        return parts
+    of_layers = parts[layers]
+    return parts | {layers: lambda conditions: mixing.mixed(of_layers(conditions))}
 
 
 def forecast_pipelines(setup: Setup) -> tuple[CleaningPipeline, ...]:
