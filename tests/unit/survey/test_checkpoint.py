@@ -385,7 +385,7 @@ def test_a_cluster_that_is_gone_leaves_the_last_checkpoint(tmp_path, scene, monk
     setup, path, gone = prepare(scene.model_copy(update={"observations": 48})), tmp_path / "checkpoint.h5", []
     first, second = (SpanJob(setup.scene, None)(Span(number, number + 16)) for number in (0, 16))
 
-    def lost(job, spans, engine, large):
+    def lost(job, spans, engine, large, meanwhile):
         with monkeypatch.context() as patch:
             patch.setattr("surveysim.survey.run.monotonic", lambda: np.inf)  # a checkpoint is due
             yield 0, HeldSums(first, gone)

@@ -223,6 +223,15 @@ def test_few_observations_are_handed_out_before_one_has_told_its_time():
     assert handed_out(list(range(100)), None, 1, single=True) == one_by_one(100)
 
 
+def test_an_estimate_of_the_time_gives_leaves_until_one_is_timed():
+    spans = Spans(list(range(500)), single=False, each_s=0.01)
+    assert [spans.take(2)[1] for _ in range(2)] == [Span(0, 16), Span(16, 32)]
+    spans.measured(0.01)
+    assert spans.take(2)[1] == Span(32, 64)
+    slow = Spans(list(range(500)), single=False, each_s=SPAN_S)
+    assert slow.take(2)[1] == Span(0, 1)
+
+
 def test_pickles_leave_out_what_follows_from_the_rest(setup, singles):
     """Sums are the same after the way between processes; those of single observations without signals are small."""
     for item in (singles[0], singles[50], node(setup, singles, 0, LEAF), node(setup, singles, LEAF, 2 * LEAF)):
