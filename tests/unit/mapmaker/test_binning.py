@@ -138,9 +138,10 @@ def test_a_linear_sky_is_looked_up_exactly():
     np.testing.assert_allclose(data[0], 1.5 * (2 * (c + 0.05) - 3 * (r + 0.1)), atol=1e-13)
 
 
-def test_add_signed(rng):
-    total = rng.standard_normal((6, 3, 5, 5))
-    values, signs = rng.standard_normal((4, 3, 5, 5)), rng.choice([-1.0, 1.0], (6, 4))
+@KINDS
+def test_add_signed(rng, kind):
+    total, values = (rng.standard_normal((n, 1300)).astype(kind) for n in (6, 4))
+    signs = rng.choice([-1.0, 1.0], (6, 4)).astype(kind)
     expected = total.copy()
     naive.add_signed(expected, values, signs)
     add_signed(total, values, signs)
