@@ -295,7 +295,7 @@ def _add_arrays(coadds: CoAdds, later: CoAdds) -> None:
 
 
 def _flip(flipped: np.ndarray, values: np.ndarray, signs: np.ndarray) -> None:
-    """Add `signs[k, b] * values[b]` to `flipped[k]` for each b in turn, in place; all arrays of the type of `flipped`."""
+    """Add `signs[k, b] * values[b]` to `flipped[k]` for each b in turn, in place, all of the type of `flipped`."""
     if flipped.size:
         kind, n_flip, n = flipped.dtype, len(flipped), len(values)
         add_signed(flipped.reshape(n_flip, -1), values.reshape(n, -1).astype(kind), signs.astype(kind))
