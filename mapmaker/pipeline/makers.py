@@ -55,7 +55,9 @@ def iterated_maps(store: FileStore, sums: MapSums, config: Config, tell: Tell) -
         block = _block(file, config)
         rest = subtract_sky(block, found.estimate_mk)
         cleaned = _clean(rest)
-        data = cleaned.data_mk + (block.data_mk - rest.data_mk)
+        data, sky = cleaned.data_mk, rest.data_mk
+        np.subtract(block.data_mk, rest.data_mk, out=sky)
+        data += sky
         weight = np.where(cleaned.kept, file.weight, 0.0)
         sums.add(replace(file, item=replace(file.item, cleaned_mk=data), weight=weight))
     end = "converged" if found.converged else "did not converge"
@@ -152,17 +154,25 @@ def _step_s(file: MappedFile) -> float:
 
 def _flipped(store: FileStore, sky_mk: np.ndarray, n_split: int) -> np.ndarray:
     """Right-hand sides (n_split, n_pixel) of the streams without the map, with second halves of the other sign."""
-    right, padded = np.zeros((n_split, len(sky_mk))), np.append(sky_mk, 0.0)
+    from mapmaker.kernels.pixels import look_up
+
+    right = np.zeros((n_split, len(sky_mk)))
     for file in store.files():
-        item = file.item
-        rest = item.cleaned_mk - padded[file.index].astype(item.cleaned_mk.dtype)
-        block = _normal_block(file)
+        item, block = file.item, _normal_block(file)
+        rest = np.empty_like(item.cleaned_mk)
+        look_up(sky_mk[None].astype(rest.dtype), file.index, rest[None])
+        np.subtract(item.cleaned_mk, rest, out=rest)
         for half, out in zip(file.halves, right, strict=True):
-            signed = np.zeros_like(rest)
-            for (start, stop), sign in zip(item.bounds, np.where(half, 1, -1).T, strict=True):
-                signed[:, start:stop] = sign[:, None] * rest[:, start:stop]
-            add_right_side(block, signed, out)
+            _change_signs(rest, item.bounds, half)
+            add_right_side(block, rest, out)
+            _change_signs(rest, item.bounds, half)
     return right
+
+
+def _change_signs(streams: np.ndarray, bounds: np.ndarray, half: np.ndarray) -> None:
+    """Change the sign of the scans (n_det, n_scan) that are not in the first half, in place."""
+    for (start, stop), first in zip(bounds, half.T, strict=True):
+        streams[~first, start:stop] *= -1
 
 
 def _map(geometry: MapGeometry, sky_mk: np.ndarray, weight: np.ndarray, hits: np.ndarray) -> BinnedMap:
