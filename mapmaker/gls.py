@@ -253,7 +253,7 @@ def band_slices(n_samp: int, sample_rate_hz: float, band_edges_hz: tuple[float, 
 
 
 def _band_noise(amplitudes: np.ndarray, options: GlsOptions) -> tuple[np.ndarray, np.ndarray]:
-    """Residual variances (n_det,) and modes (n_det, n_mode) of one band, from amplitudes (n_det, n), which it scales."""
+    """Residual variances (n_det,) and modes (n_det, n_mode) of one band; scales the amplitudes (n_det, n)."""
     n_det, n = amplitudes.shape
     power = np.einsum("dn,dn->d", amplitudes, amplitudes) / n
     alive = power > _DEAD * power.mean()

@@ -100,14 +100,6 @@ class MapSection(Section):
             raise ValueError(f"found {value}; a power of two is expected")
         return value
 
-    @model_validator(mode="after")
-    def _healpix_is_binned(self) -> "MapSection":
-        if self.healpix_nside and self.maker in ("destriped", "maximum_likelihood"):
-            raise ValueError(
-                f'healpix_nside: found {self.healpix_nside} with maker = "{self.maker}"; no such key is expected'
-            )
-        return self
-
 
 class Circle(Section):
     """A circle on the sky."""

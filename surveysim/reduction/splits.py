@@ -177,10 +177,10 @@ def _check_parts(scene: Scene, found: SurveySplits) -> None:
     if enough(scene.spectra.parts):
         return
     nights = plural(int(found.night[-1]) + 1, "night")
-    given = f" in {nights}" if found.dated else ""
+    given = plural(scene.observations, "observation") + (f" in {nights}" if found.dated else "")
     most = max((n_part for n_part in range(2, scene.spectra.parts) if enough(n_part)), default=0)
     expected = f"at most {most} parts are" if most else "a longer survey is"
     raise SceneError(
-        f"spectra.parts: found {scene.spectra.parts} with {plural(scene.observations, 'observation')}{given}; {expected}"
-        f" expected, with {FEWEST_OBSERVATIONS} observations or more in each"
+        f"spectra.parts: found {scene.spectra.parts} with {given}; {expected} expected, with"
+        f" {FEWEST_OBSERVATIONS} observations or more in each"
     )
