@@ -1,6 +1,7 @@
 """Command-line options, parsed from text; SceneError with one line for invalid text."""
 
 import tomllib
+from collections.abc import Callable
 from glob import escape, glob
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from surveysim.results.stopping import StoppingCriteria
     from surveysim.runtime.engine import Engine
     from surveysim.scene.bands import MultiBandScene
+    from surveysim.scene.scene import Scene
     from surveysim.studies.sweep.axes import Sweep
     from surveysim.studies.sweep.bands import MultiBandSweep
 
@@ -133,12 +135,17 @@ def run_limits(target_error: str | None, time_budget: str | None, metric: str | 
         raise SceneError(str(error)) from None
 
 
-def ready_setup(path: Path, given: list[str] | None) -> "Setup":
-    """Load, check and prepare a scene; raises SceneError with lines that name the file."""
-    from surveysim.reduction.setup import prepare
+def ready_setup(path: Path, given: list[str] | None, loaded: Callable[["Scene"], None] = lambda scene: None) -> "Setup":
+    """Load, check and prepare a scene; raises SceneError with lines that name the file.
+
+    `loaded` is called with the scene before it is prepared.
+    """
     from surveysim.scene.scene import load_scene
 
     scene = load_scene(path, settings(given))
+    loaded(scene)
+    from surveysim.reduction.setup import prepare
+
     try:
         return prepare(scene)
     except SceneError as error:
