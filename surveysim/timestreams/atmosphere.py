@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mapmaker.geometry import sky_offsets
-from mapmaker.timestreams import FocalPlane, scan_bounds
+from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.layers import Layer
 from surveysim.atmosphere.weather import Weather, slant_b2
 from surveysim.runtime.rng import RandomPurpose
@@ -93,7 +93,7 @@ def straight_scans(
 
     sine = np.sin(pointing.scan_elevation_rad)
     strips = layer.strips.at(float(sine.min()))
-    bounds, rate = scan_bounds(pointing.scan), setup.observing.scans.sample_rate_hz
+    bounds, rate = pointing.scan_bounds, setup.observing.scans.sample_rate_hz
     motion = _layer_motion(setup, pointing, wind_rad_s)
     tracks = scan_tracks(bounds, sample_rate_hz=rate, **motion, strips=strips)
     points = _strip_points(pointing, bounds, motion["layer_velocity_rad_s"], tracks=tracks, strips=strips)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mapmaker.timestreams import scan_bounds
 from surveysim.atmosphere.evolution import Evolution
 from surveysim.atmosphere.layers import Layer
 from surveysim.atmosphere.weather import Weather
@@ -102,7 +101,7 @@ def layer_wind(layer: Layer, weather: Weather, pointing: Pointing, numbers: Laye
     drift = layer.section.wind_drift
     if drift is None:
         return speed * math.cos(angle), speed * math.sin(angle)
-    bounds = scan_bounds(pointing.scan)
+    bounds = pointing.scan_bounds
     middle = (pointing.time_s[bounds[:, 0]] + pointing.time_s[bounds[:, 1] - 1]) / 2
     process = smooth_process(2, middle[-1], drift.time_scale_s, numbers.deviates(RandomPurpose.WIND_DRIFT))
     faster, turned = process.at(middle)
@@ -117,7 +116,7 @@ def layer_realizations(
 
     Their scans follow from the observation, whatever its blocks.
     """
-    bounds, time_s, seconds = scan_bounds(pointing.scan), pointing.time_s, layer.section.decorrelation_time_s
+    bounds, time_s, seconds = pointing.scan_bounds, pointing.time_s, layer.section.decorrelation_time_s
     if seconds is None:
         yield LayerRealization(numbers, 0, len(bounds), block.first, block.end)
         return
