@@ -171,7 +171,7 @@ FORGERIES = {
         for name in ("sums", "weight", "flipped", "signal_maps", "raw_psd")
     },
     **{f"infinity in {name}": changed(name, set_at(np.inf)) for name in ("sums", "signal_weight", "clean_psd")},
-    **{f"vast {name}": changed(name, set_at(-1e300)) for name in ("sums", "flipped", "signal_maps")},
+    **{f"vast {name}": changed(name, set_at(-2e30)) for name in ("sums", "flipped", "signal_maps")},
     "infinite noise of an observation with data": changed("bin_noise", set_at(np.inf, 3)),
     "no noise of an observation with data": changed("rows", set_at(np.inf, -1)),
     "unknown noise": changed("rows", set_at(np.nan, -1)),

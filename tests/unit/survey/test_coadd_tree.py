@@ -81,7 +81,10 @@ def test_naive_tree(setup, singles, in_order):
     patch = setup.analysis.region.patch
     signs = np.stack([naive.jackknife_signs(setup.scene, number) for number in range(N_OBS)], axis=1)
     flipped = naive.tree_sum(
-        [signs[:, i, None, None, None] * item.sums[:, patch, patch] for i, item in enumerate(singles)]
+        [
+            (signs[:, i, None, None, None] * item.sums[:, patch, patch]).astype(np.float32)
+            for i, item in enumerate(singles)
+        ]
     )
     np.testing.assert_array_equal(in_order.flipped, flipped)
     for name in ("sums", "weight", "hits"):
