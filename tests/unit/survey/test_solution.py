@@ -7,6 +7,7 @@ import pytest
 
 from mapmaker.binning import weighted_mean
 from mapmaker.geometry import boresight_pixels
+from mapmaker.normal_equations import add_normal, add_right_side
 from surveysim import load_scene, run
 from surveysim.reduction.cleaned_block import reduce_block
 from surveysim.reduction.noise_weights import normal_blocks, weights_file
@@ -168,6 +169,35 @@ def test_noise_only_sets_are_solved_with_the_same_weights(tmp_path):
     np.testing.assert_array_equal(both.sums[0], alone.sums[0])
     np.testing.assert_array_equal(both.hits[1:], alone.hits[[0, 0]])
     assert [item.name for item in both.convergence] == ["actual", "uncorrelated", "white", "signal simulations"]
+
+
+@pytest.mark.parametrize("maker", [pytest.param("destriped", marks=pytest.mark.slow), "maximum_likelihood"])
+def test_a_masked_array_has_a_map_of_its_own(maker, tmp_path):
+    """Its equations have its detectors' streams and weights; those of the actual data are the same as without it."""
+    settings = {**SOLVED[maker], "observations": 2, "score.signal_sims.observations": 2}
+    masked = prepare(scene(tmp_path, settings, **{"score.mask_separation_f_lambda": 1.3}))
+    _, data_set = masked.analysis.data_set_names
+    found = run_observations(masked, tmp_path / "checkpoint.h5")
+    alone = run_observations(prepare(scene(tmp_path, settings)), None)
+    np.testing.assert_array_equal(found.sums[0], alone.sums[0])
+    np.testing.assert_array_equal(found.signal_maps[:, 0], alone.signal_maps[:, 0])
+    expected = ["actual", data_set, "signal simulations", f"signal simulations of {data_set}"]
+    assert [item.name for item in found.convergence] == expected
+    sky, noise = weighted_mean(found.sums, found.weight)[1].reshape(1, -1), found.noise_mk2()[:, 1]
+    right, seen = np.zeros(sky.shape), np.zeros(sky.shape)
+    for number, weight in enumerate(1 / noise if maker == "destriped" else (1.0, 1.0)):
+        _, pointing = observation_path(masked.observing, number)
+        [block] = masked.observing.blocks
+        part = reduce_block(masked, number, pointing, block, delays_s_rad=None, watch=Stopwatch())
+        [normal] = normal_blocks(masked, number, weights_file(tmp_path / "noise_weights", number), data_set)
+        np.testing.assert_array_equal(normal.index, part.index[1])
+        add_right_side(normal, weight * part.cleaned[1].data_mk.astype(float), right)
+        add_normal(normal, weight * sky, seen)
+    assert 1 < len(normal.index) < masked.camera.n_det
+    assert np.linalg.norm(seen - right) < 2e-4 * np.linalg.norm(right)
+    scores = score_survey(masked, found)
+    assert scores[data_set].noise_psd[-1] > scores["actual"].noise_psd[-1]
+    assert scores[data_set].transfer_function.transmission[-1] > 0.7
 
 
 def test_unconverged_maps_are_flagged(tmp_path):
