@@ -85,15 +85,26 @@ def test_forecasts_are_made_without_what_only_runs_need(tmp_path):
 
 
 @pytest.mark.parametrize("name", UNUSED)
-def test_parts_of_numpy_are_executed_at_their_first_use(name):
+def test_unused_modules_are_executed_at_their_first_use(name):
     """They are there, but for names that only their execution defines."""
     code = (
-        "import sys\nfrom surveysim.runtime.environment import settle\nsettle()\nimport scipy.special\n"
-        f"module = sys.modules[{name!r}]\nempty = '__all__' not in object.__getattribute__(module, '__dict__')\n"
-        "print(empty, bool(module.__all__))"
+        "import sys\nfrom surveysim.runtime.environment import settle\nsettle()\nimport numba, scipy.special\n"
+        f"module = sys.modules[{name!r}]\nbefore = len(object.__getattribute__(module, '__dict__'))\n"
+        "print(before < 12, len(dir(module)) > 20)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.split() == ["True", "True"], done.stderr
+
+
+def test_numba_finds_blas_without_the_import_of_scipy_linalg():
+    """The module that it looks for is imported at its first use."""
+    code = (
+        "import sys\nfrom surveysim.runtime.environment import settle\nsettle()\nimport numba.np.arraymath\n"
+        "before = 'scipy.linalg' in sys.modules\nfrom scipy.linalg import cython_blas\n"
+        "print(numba.np.arraymath._HAVE_BLAS, before, 'dgemm' in cython_blas.__pyx_capi__)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.split() == ["True", "False", "True"], done.stderr
 
 
 def test_matrix_products_get_one_thread_unless_the_environment_asks_for_more():
