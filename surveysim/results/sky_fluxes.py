@@ -152,8 +152,9 @@ def _without_sky(
 
 
 def _noise_psd(analysis: AnalysisSetup, flipped: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Power of the noise in each mode of the padded patch, for noise that is even but for the weights (n, n): 1 where it
-    is white with their variance.
+    """Power of the noise in each mode of the padded patch, over that of white noise with the variance of the weights.
+
+    The noise is even, but for the weights (n, n).
     """
     from scipy.fft import rfft2
 

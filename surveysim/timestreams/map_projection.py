@@ -25,8 +25,8 @@ _FAINTEST = 1e-6  # amplitude that the beam leaves at the highest multipole of a
 _ORDER = 5  # of splines
 _CYLINDERS, _REPEATED = ("CAR", "CEA", "MER"), 16  # projections, and columns over which a spline forgets an edge
 _JUMP = 5  # between the places of neighbouring cells, over that in the middle of a plane projection
-# Of the analysis of a HEALPix map. Smooth maps, whose beam is two pixels wide, are then exact to 1e-5 of their rms. More
-# iterations change only waves that pixels hardly determine, close to the poles.
+# Of the analysis of a HEALPix map: waves longer than two pixels are exact to 1e-4 at the poles, elsewhere to 1e-5. More
+# iterations change little but waves that pixels hardly determine.
 _TOLERANCE, _ITERATIONS = 1e-5, 3
 
 
