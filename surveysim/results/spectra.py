@@ -29,7 +29,7 @@ _PARTS = {
 }
 _SHARED = (
     "The parts share the atmosphere and the cleaning, so their cross-spectrum has a noise bias, which random signs of"
-    " the observations measure. It is not removed."
+    " the observations measure. It is removed."
 )
 _BIAS = "noise_bias_uk2", "noise_bias_error_uk2"
 
