@@ -1,7 +1,6 @@
 """Command-line options, parsed from text; SceneError with one line for invalid text."""
 
 import tomllib
-from collections.abc import Callable
 from glob import escape, glob
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -16,11 +15,12 @@ if TYPE_CHECKING:
     from surveysim.results.stopping import StoppingCriteria
     from surveysim.runtime.engine import Engine
     from surveysim.scene.bands import MultiBandScene
-    from surveysim.scene.scene import Scene
     from surveysim.studies.sweep.axes import Sweep
     from surveysim.studies.sweep.bands import MultiBandSweep
 
 DEEPEST = 9  # dots in a key
+LARGEST_TEXT = 1_000_000  # bytes of a scene that is read in advance
+MANY = 64  # observations that worker processes share, unless they have very few samples
 
 
 def _scene_file(scene: Path | None) -> Path | None:
@@ -135,22 +135,28 @@ def run_limits(target_error: str | None, time_budget: str | None, metric: str | 
         raise SceneError(str(error)) from None
 
 
-def ready_setup(path: Path, given: list[str] | None, loaded: Callable[["Scene"], None] = lambda scene: None) -> "Setup":
-    """Load, check and prepare a scene; raises SceneError with lines that name the file.
-
-    `loaded` is called with the scene before it is prepared.
-    """
+def ready_setup(path: Path, given: list[str] | None) -> "Setup":
+    """Load, check and prepare a scene; raises SceneError with lines that name the file."""
+    from surveysim.reduction.setup import prepare
     from surveysim.scene.scene import load_scene
 
     scene = load_scene(path, settings(given))
-    loaded(scene)
-    from surveysim.reduction.setup import prepare
-
     try:
         return prepare(scene)
     except SceneError as error:
         changed = "".join(f" --set {item}" for item in given or ())
         raise SceneError(f"{path}{' with' if changed else ''}{changed}: {error}") from None
+
+
+def has_many_observations(path: Path, given: list[str] | None) -> bool:
+    """Return whether the text of a scene has many observations; the scene is not checked."""
+    try:
+        if not path.is_file() or path.stat().st_size > LARGEST_TEXT:  # a pipe can be read once
+            return False
+        content = tomllib.loads(path.read_text(encoding="utf-8")) | settings(given)
+        return bool(content["observations"] >= MANY)
+    except Exception:  # which is reported when the scene is read with care
+        return False
 
 
 def sweep_of(path: Path, given: list[str] | None, reference: str | None = None) -> "Sweep | MultiBandSweep | None":

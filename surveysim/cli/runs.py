@@ -43,13 +43,10 @@ if TYPE_CHECKING:
     from surveysim.reduction.setup import Setup
     from surveysim.results.stopping import StoppingCriteria
     from surveysim.runtime.engine import Engine
-    from surveysim.scene.scene import Scene
     from surveysim.studies.sweep.axes import Sweep
     from surveysim.studies.sweep.bands import MultiBandSweep
     from surveysim.studies.sweep.rounds import SweepLimits
     from surveysim.survey.coadd_tree import CoAddTree
-
-MANY = 64  # observations of a survey that worker processes share, unless it has very few samples
 
 
 def run(
@@ -98,6 +95,8 @@ def run(
     """Simulate, clean, map and score a scene or a sweep."""
     with_engine = options.engine(engine, workers, scheduler)
     refuse_reference(reference, point)
+    if target_error is None and options.has_many_observations(scene, settings):
+        with_engine.start_early()
     sweep = sweep_of(scene, settings, reference)
     if keep_all:
         refuse_keep_all(scene, point, sweep is not None)
@@ -130,21 +129,12 @@ def run(
         directory = out or default_directory(scenes.name, options.settings(settings))
         run_bands(scenes, directory, with_engine, limits, resume=resume, verbose=verbose, quiet=quiet, **asked)
         return
-    if point is None:
-        setup = ready_setup(scene, settings, partial(_start_early, with_engine, limits))
-    else:
-        setup = point_setup(scene, sweep, point)
+    setup = ready_setup(scene, settings) if point is None else point_setup(scene, sweep, point)
     own = {} if point is None else {"point": point}
     directory = out or default_directory(setup.scene.name, options.settings(settings) | own)
     _run_scene(
         scene, setup, with_engine, limits, directory=directory, resume=resume, verbose=verbose, quiet=quiet, **asked
     )
-
-
-def _start_early(engine: "Engine", limits: "StoppingCriteria", scene: "Scene") -> None:
-    """Begin to start worker processes before a scene is prepared, if it is likely to need them."""
-    if scene.observations >= MANY and limits.target_error is None:
-        engine.start_early()
 
 
 def _run_scene(

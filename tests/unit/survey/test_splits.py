@@ -118,7 +118,8 @@ def test_halves_of_the_array_are_interleaved(setup):
 @pytest.mark.parametrize(
     ("text", "keys", "message"),
     [
-        (SMALL_SCENE, {"spectra.parts": 3}, "spectra.parts: found 3 with 4 observations; fewer parts are expected"),
+        (SMALL_SCENE, {"spectra.parts": 3}, "spectra.parts: found 3 with 4 observations; at most 2 parts are expected"),
+        (SMALL_SCENE, {"observations": 2}, "found 2 with 2 observations; a longer survey is expected"),
         (SMALL_SCENE, {"spectra.parts": None}, "spectra.parts: missing; 'night' needs it"),
         (SMALL_SCENE, {"spectra.splits": ["array"]}, "spectra.parts: found without the split 'night'"),
         (SMALL_SCENE, {"spectra.splits": ["night", "night"]}, "found 'night' more than once"),
