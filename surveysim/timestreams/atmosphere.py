@@ -71,16 +71,16 @@ def add_realization(data: np.ndarray, of: LayerScans, item: LayerRealization, bl
     """Add one realization of a layer to the streams of a block."""
     from surveysim.atmosphere.scan_trends import draw_trends
 
-    drawn = slice(item.begin, item.stop)
-    trends = draw_trends(of.points.scans(item.first, item.end), item.numbers.deviates(RandomPurpose.TREND))
+    drawn = slice(block.first, block.end)
+    trends = draw_trends(of.points, item.numbers.deviates(RandomPurpose.TREND))
     amplitude, mixed = of.amplitude_mk[drawn], item.weight is not None
     of.add(
         data,
         of.bounds[drawn] - of.bounds[block.first, 0],
-        tracks=of.tracks.scans(item.begin, item.stop),
+        tracks=of.tracks.scans(block.first, block.end),
         amplitude_mk=amplitude.reshape(len(amplitude), -1) * item.weight if mixed else amplitude,
         deviates=item.numbers.deviates(RandomPurpose.ATMOSPHERE, block.number),
-        trends=trends.scans(item.begin - item.first, item.stop - item.first),
+        trends=trends.scans(block.first, block.end),
         mean_removed=mixed,
     )
 

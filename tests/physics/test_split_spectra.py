@@ -75,6 +75,17 @@ def test_noise_of_nights_is_not_correlated(surveys):
     assert abs(pulls.mean()) < 4 / np.sqrt(N_SEED)
 
 
+def test_the_noise_bias_of_half_arrays_is_removed(tmp_path):
+    """Cleaned halves of the array share noise, of one to two errors of the band powers in each bin."""
+    text = without_sections(SMALL_SCENE, "sky") + SKY.replace("100000", "20000")
+    layer = {name: value for name, value in WIDE_PATCH.items() if name.startswith("atmosphere")}
+    surveys = [measured(tmp_path, text, layer | {"seed": 300 + seed}) for seed in range(4)]
+    items = [(item.splits["array"], item.input_uk2) for item in surveys]
+    pulls = [(item.powers.power_uk2 - expected) / item.monte_carlo.error_uk2 for item, expected in items]
+    assert np.mean([item.bias_uk2 / item.monte_carlo.error_uk2 for item, _ in items]) > 1
+    assert abs(np.mean(pulls)) < 4 / np.sqrt(np.size(pulls))
+
+
 def test_time_constants_fail_the_split_by_direction_alone(tmp_path):
     """Streams that lag shift the sky along the scan, there and back in turn: the maps differ."""
     bright = QUIET + SKY.replace("100000", "3000000")
