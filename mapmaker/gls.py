@@ -216,14 +216,9 @@ def measure_noise(
     data_mk = reals("data_mk", data_mk, ("n_det", "n_samp"), finite=False)
     scan_bounds = bounds_of_scans(scan_bounds, data_mk.shape[1])
     number("sample_rate_hz", sample_rate_hz, above=0)
-    columns: list[list[np.ndarray]] = [[] for _ in options.band_edges_hz[1:]]
-    for start, stop in scan_bounds:
-        modes = dct(data_mk[:, start:stop].astype(np.float64), axis=1, norm="ortho")
-        for column, band in zip(columns, band_slices(stop - start, sample_rate_hz, options.band_edges_hz), strict=True):
-            column.append(modes[:, band])
     if not len(scan_bounds):
         raise InsufficientDataError("scan_bounds: found no scan; one or more are expected")
-    amplitudes = [np.concatenate(column, axis=1) for column in columns]
+    amplitudes = _band_amplitudes(data_mk, scan_bounds, sample_rate_hz, options.band_edges_hz)
     for b, n in enumerate(item.shape[1] for item in amplitudes):
         if n < 2:
             low, high = options.band_edges_hz[b : b + 2]
@@ -235,6 +230,21 @@ def measure_noise(
     return NoiseModel(options.band_edges_hz, white, modes, sample_rate_hz)
 
 
+def _band_amplitudes(
+    data_mk: np.ndarray, scan_bounds: np.ndarray, sample_rate_hz: float, band_edges_hz: tuple[float, ...]
+) -> list[np.ndarray]:
+    """Amplitudes (n_det, n) of the cosine modes of all scans in each band."""
+    bands = [band_slices(stop - start, sample_rate_hz, band_edges_hz) for start, stop in scan_bounds]
+    sizes = np.array([[band.stop - band.start for band in of_scan] for of_scan in bands])
+    amplitudes = [np.empty((len(data_mk), n)) for n in sizes.sum(axis=0)]
+    ends = np.cumsum(sizes, axis=0)
+    for (start, stop), of_scan, until, size in zip(scan_bounds, bands, ends, sizes, strict=True):
+        modes = dct(data_mk[:, start:stop].astype(np.float64), axis=1, norm="ortho")
+        for item, band, end, n in zip(amplitudes, of_scan, until, size, strict=True):
+            item[:, end - n : end] = modes[:, band]
+    return amplitudes
+
+
 def band_slices(n_samp: int, sample_rate_hz: float, band_edges_hz: tuple[float, ...]) -> list[slice]:
     """Cosine modes of a scan in each band; mode k has the frequency ``k rate / (2 n_samp)``, mode 0 is in no band."""
     frequency = np.arange(n_samp) * sample_rate_hz / (2 * n_samp)
@@ -243,18 +253,20 @@ def band_slices(n_samp: int, sample_rate_hz: float, band_edges_hz: tuple[float, 
 
 
 def _band_noise(amplitudes: np.ndarray, options: GlsOptions) -> tuple[np.ndarray, np.ndarray]:
-    """Residual variances (n_det,) and modes (n_det, n_mode) of one band, from amplitudes (n_det, n)."""
+    """Residual variances (n_det,) and modes (n_det, n_mode) of one band; scales the amplitudes (n_det, n)."""
     n_det, n = amplitudes.shape
-    power = np.mean(amplitudes**2, axis=1)
+    power = np.einsum("dn,dn->d", amplitudes, amplitudes) / n
     alive = power > _DEAD * power.mean()
     scale = np.sqrt(np.where(alive, power, 1.0))
-    scaled = np.where(alive[:, None], amplitudes, 0.0) / scale[:, None]
+    scaled = amplitudes  # in place: they are larger than the streams
+    scaled *= (alive / scale)[:, None]
     values, vectors = np.linalg.eigh(scaled @ scaled.T / n)
     values, vectors = values[::-1], vectors[:, ::-1]
     n_mode = _count_modes(values, int(alive.sum()), n, options)
     values, vectors = values[:n_mode], vectors[:, :n_mode]
     # Not the difference of powers, which a strong atmosphere would reduce to rounding.
-    left = np.mean((scaled - vectors @ (vectors.T @ scaled)) ** 2, axis=1)
+    shared = vectors.T @ scaled
+    left = np.array([np.mean((row - own @ shared) ** 2) for row, own in zip(scaled, vectors, strict=True)])
     white = np.where(alive & (left > _EXPLAINED), power * left, 0.0)
     return white, scale[:, None] * vectors * np.sqrt(values)
 

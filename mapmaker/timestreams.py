@@ -63,6 +63,8 @@ class FocalPlane:
         ValueError
             For none, and for an index or flags that do not match the detectors.
         """
+        if isinstance(detectors, slice) and detectors == slice(None):
+            return self
         rows = detector_rows(detectors, len(self.x_rad))
         angle, names = (None if item is None else item[rows] for item in (self.angle_rad, self.names))
         return FocalPlane(self.x_rad[rows], self.y_rad[rows], self.fwhm_rad, angle, names)

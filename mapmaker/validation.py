@@ -89,8 +89,12 @@ def integers(
     least: int = -(2**63),
     most: int = 2**63 - 1,
     empty: bool = False,
+    keep_type: bool = False,
 ) -> np.ndarray:
-    """Convert to an array of integers: int32 if it is, else int64; parameters and errors as for `reals`."""
+    """Convert to an array of integers: int32 if it is, else int64; parameters and errors as for `reals`.
+
+    With `keep_type` large arrays of small integers keep their type.
+    """
     array = _plain(name, value, "iu")
     _check_shape(name, array, shape, empty)
     if array.size and not (least <= (low := int(array.min())) and (high := int(array.max())) <= most):
@@ -99,7 +103,7 @@ def integers(
         raise argument_error(
             name, f"{found} {_place(fits)}", f"{_range('integers', least=least, above=-math.inf, most=most)} are"
         )
-    return array if array.dtype in (np.int32, np.int64) else array.astype(np.int64)
+    return array if keep_type or array.dtype in (np.int32, np.int64) else array.astype(np.int64)
 
 
 def flags(name: str, value: object, shape: Shape, *, empty: bool = False) -> np.ndarray:

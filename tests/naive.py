@@ -306,7 +306,7 @@ def tree_sum(arrays, leaf=16):
     """Sum of arrays: leaves of some in order, pairs of whole leaves, pairs of these, and so on; then left to right."""
     nodes = []
     for first in range(0, len(arrays), leaf):
-        total = 0.0 * arrays[0]
+        total = np.zeros_like(arrays[0])
         for array in arrays[first : first + leaf]:
             total = total + array
         nodes.append((min(leaf, len(arrays) - first), total))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -189,11 +189,13 @@ def clean_in_order(
         _check(*step)
     done: list[Cleaned] = []
     for name, options in steps:
-        done.append(clean(name, done[-1].data_mk if done else data_mk, scan_bounds, focal_plane, options=options))
+        found = clean(name, data_mk, scan_bounds, focal_plane, options=options)
+        data_mk = found.data_mk
+        done.append(replace(found, data_mk=data_mk[:0]))  # the streams between two steps are not kept
     kept = np.all([item.kept for item in done], axis=0)
     fitted = [item for (name, _), item in zip(steps, done, strict=True) if name in TEMPLATE_CLEANINGS]
     return Cleaned(
-        data_mk=done[-1].data_mk,
+        data_mk=data_mk,
         kept=kept,
         responsivity=np.where(kept[:, None], (fitted or done)[0].responsivity, np.nan),
         iterations=np.sum([item.iterations for item in done], axis=0),

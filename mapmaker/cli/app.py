@@ -8,6 +8,7 @@ import typer
 
 from mapmaker.cli.clean_and_map import clean_and_map
 from mapmaker.cli.convert import convert
+from mapmaker.cli.plain import PlainCommand
 from mapmaker.printable import say
 
 app = typer.Typer(
@@ -21,7 +22,7 @@ app = typer.Typer(
 COMMANDS: tuple[Callable[..., None], ...] = (clean_and_map, convert)
 
 for command in COMMANDS:
-    app.command()(command)
+    app.command(cls=PlainCommand)(command)
 
 
 def _print_version(asked: bool) -> None:

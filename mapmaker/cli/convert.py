@@ -10,9 +10,7 @@ if TYPE_CHECKING:
 
 
 def convert(
-    files: Annotated[
-        list[Path], typer.Argument(metavar="FILES...", help="Files of one observation each, of any format.")
-    ],
+    files: Annotated[list[Path], typer.Argument(metavar="FILES", help="Files of one observation each, of any format.")],
     to: Annotated[str, typer.Option(metavar="FORMAT", help="hdf5, toast, g3 or mustang2.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Directory of the converted files.")],
     beam: Annotated[

@@ -1,5 +1,6 @@
 """Entry point of ``mapmaker``: every failure ends in one line and an exit code."""
 
+import gc
 import os
 import signal
 import sys
@@ -15,7 +16,9 @@ def main() -> NoReturn:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
     warnings.simplefilter("ignore")  # of libraries; errors of input have a line of their own
-    sys.exit(ended(sys.argv[1:]))
+    code = ended(sys.argv[1:])
+    gc.freeze()  # Python searches all objects for cycles at exit, several times: a third of a short command
+    sys.exit(code)
 
 
 def _interrupt(number: int, frame: object) -> NoReturn:

@@ -183,7 +183,7 @@ def _names(file: Any) -> np.ndarray | None:
 def _flags(file: Any) -> np.ndarray | None:
     if _FLAGS not in file:
         return None
-    return integers(_FLAGS, file[_FLAGS][()], file["data"].shape, least=0, most=1).astype(bool)
+    return integers(_FLAGS, file[_FLAGS][()], file["data"].shape, least=0, most=1, keep_type=True).astype(bool)
 
 
 def _text() -> Any:

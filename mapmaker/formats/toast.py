@@ -173,7 +173,9 @@ def _streams_of(file: Any, fwhm_rad: float | None) -> Timestreams:
 def _signal_mk(file: Any, shape: tuple[int, int]) -> np.ndarray:
     signal = _detector_data(file, "signal", shape)
     scale = millikelvin("detdata/signal", signal.attrs.get("units", ""))
-    return reals("detdata/signal", signal[()], shape, finite=False) * scale
+    data = reals("detdata/signal", signal[()], shape, finite=False)
+    data *= scale
+    return data
 
 
 def _detector_data(file: Any, name: str, shape: tuple[int, int]) -> Any:
@@ -230,7 +232,7 @@ def _flags(file: Any, names: list[str], shape: tuple[int, int], inside: np.ndarr
 
 
 def _masked(name: str, value: object, shape: tuple[int, ...], mask: int) -> np.ndarray:
-    return integers(name, value, shape) & mask != 0
+    return integers(name, value, shape, keep_type=True) & mask != 0
 
 
 def _focal_plane(file: Any, names: list[str], fwhm_rad: float | None) -> FocalPlane:

@@ -2,14 +2,13 @@
 
 import logging
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from functools import cache
 from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core.event import TimingListener, install_listener
+from numba.core.event import TimingListener, register
 
 
 def njit(**options: Any) -> Callable[[Callable], Callable]:
@@ -35,14 +34,17 @@ def is_cached(kernel: Any) -> bool:
     return folder is not None and any(Path(folder).glob(f"*.{kernel.__name__}-*.nbc"))
 
 
-def compile_timer() -> AbstractContextManager[TimingListener]:
-    """Measure the time that kernels take to compile, or to load from the cache, within a block; see `compile_s`."""
-    return install_listener("numba:compiler_lock", TimingListener())
-
-
-def compile_s(timer: TimingListener) -> float:
-    """Time [s] of compilation that a `compile_timer` has measured; 0 where all kernels were compiled before."""
+def compile_s() -> float:
+    """Time [s] that kernels have taken to compile, or to load from the cache, in this process since the first call."""
+    timer = _compile_timer()
     return timer.duration if timer.done else 0.0
+
+
+@cache
+def _compile_timer() -> TimingListener:
+    timer = TimingListener()
+    register("numba:compiler_lock", timer)
+    return timer
 
 
 @cache

@@ -95,37 +95,38 @@ def count_samples(index, hits):
 
 
 @njit(cache=True, nogil=True)
-def add_sky(data, sky, place, x_rad, y_rad, gain):
-    """Add the bilinear look-up of a sky along every detector's track, in place.
+def add_skies(data, skies, place, x_rad, y_rad, gain):
+    """Add the bilinear look-up of some skies along every detector's track to their streams, in place.
 
     Parameters
     ----------
-    data : (n_det, n_samp)
-        Changed in place; nothing is added off the sky.
-    sky : (n_y, n_x)
+    data : (n_sky, n_det, n_samp)
+        Changed in place; nothing is added off the skies.
+    skies : (n_sky, n_y, n_x)
     place : (8, n_samp)
         Homographies from offsets in the array to sky pixels, counted from pixel centres.
     x_rad, y_rad
         As in `plane_pixels`.
     gain : (n_det,)
     """
-    n_y, n_x = sky.shape
-    values, next_row = sky.reshape(sky.size), np.uint64(n_x)
-    below, across = np.empty(_AT_ONCE, np.int32), np.empty((3, _AT_ONCE), sky.dtype)
-    for first in range(0, data.shape[1], _AT_ONCE):
-        part = slice(first, min(first + _AT_ONCE, data.shape[1]))
+    n_sky, n_y, n_x = skies.shape
+    next_row, one = np.uint64(n_x), np.uint64(1)
+    below, across = np.empty(_AT_ONCE, np.int32), np.empty((3, _AT_ONCE), skies.dtype)
+    for first in range(0, data.shape[2], _AT_ONCE):
+        part = slice(first, min(first + _AT_ONCE, data.shape[2]))
         c0, cx, cy, r0 = place[0, part], place[1, part], place[2, part], place[3, part]
         rx, ry, wx, wy = place[4, part], place[5, part], place[6, part], place[7, part]
-        for d in range(data.shape[0]):
-            samples = data[d, part]
+        for d in range(data.shape[1]):
             _corners(c0, cx, cy, r0, rx, ry, wx, wy, x_rad[d], y_rad[d], gain[d], n_x, n_y, below, across)
-            for n in range(samples.size):
-                # Unsigned, which avoids numba's check for negative indices.
-                p, u, v, g = np.uint64(below[n]), across[0, n], across[1, n], across[2, n]
-                near, far = values[p], values[p + next_row]
-                low = near + u * (values[p + np.uint64(1)] - near)
-                high = far + u * (values[p + next_row + np.uint64(1)] - far)
-                samples[n] += g * (low + v * (high - low))
+            for k in range(n_sky):
+                samples, values = data[k, d, part], skies[k].reshape(n_y * n_x)
+                for n in range(samples.size):
+                    # Unsigned, which avoids numba's check for negative indices.
+                    p, u, v, g = np.uint64(below[n]), across[0, n], across[1, n], across[2, n]
+                    near, far = values[p], values[p + next_row]
+                    low = near + u * (values[p + one] - near)
+                    high = far + u * (values[p + next_row + one] - far)
+                    samples[n] += g * (low + v * (high - low))
 
 
 @njit(forceinline=True, error_model="numpy")

@@ -7,7 +7,9 @@ A bright source is no trouble. Where at least three passes, each of a detector i
 that it differs from 0, samples are not tested.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -26,27 +28,29 @@ _MEDIAN = 1.2533141373155003  # standard deviation of the median of normal devia
 class CleanedBlock:
     """Cleaned time-streams to test.
 
+    Tests go from detector to detector: arrays for all samples of all detectors would be several times the streams.
+
     Attributes
     ----------
     data_mk, lost : (n_det, n_samp)
     bounds : (n_scan, 2)
-        Scans that cleaning keeps.
-    spared : (n_det, n_samp)
-        True for samples that are not tested.
-    place : (n_det, n_samp)
-        Pixel of each sample on a map with a few pixels a beam; -1 for none.
+        Scans that cleaning keeps, in order.
+    spared
+        Function of a detector's row: flags (n_samp,), True for samples that are not tested.
+    place
+        Function of a detector's row: pixels (n_samp,) on a map with a few pixels a beam, -1 for none.
+    n_place
+        Pixels of that map.
     """
 
     data_mk: np.ndarray
     lost: np.ndarray
     bounds: np.ndarray
-    spared: np.ndarray
-    place: np.ndarray
+    spared: Callable[[int], np.ndarray]
+    place: Callable[[int], np.ndarray]
+    n_place: int
 
-    def used(self) -> np.ndarray:
-        """Flags (n_det, n_samp) of the samples within scans that are not lost."""
-        return (self.scan_of_sample() >= 0) & ~self.lost
-
+    @cached_property
     def scan_of_sample(self) -> np.ndarray:
         """Index (n_samp,) of the scan of each sample; -1 outside."""
         found = np.full(self.data_mk.shape[1], -1)
@@ -54,14 +58,21 @@ class CleanedBlock:
             found[start:stop] = s
         return found
 
+    def used(self, d: int) -> np.ndarray:
+        """Flags (n_samp,) of the samples of a detector within scans that are not lost."""
+        return (self.scan_of_sample >= 0) & ~self.lost[d]
 
-def robust_scatter(values: np.ndarray, used: np.ndarray) -> np.ndarray:
-    """Standard deviation (n_det,) from the median absolute value over used samples; the plain one where that is 0."""
-    found = np.zeros(len(values))
-    for d, (row, good) in enumerate(zip(values, used, strict=True)):
-        if good.any():
-            found[d] = _OF_MEDIAN * np.median(np.abs(row[good])) or np.sqrt(np.mean(row[good].astype(float) ** 2))
-    return found
+    @cached_property
+    def scatter(self) -> np.ndarray:
+        """Robust scatter (n_det,) of the used samples."""
+        return np.array([robust_scatter(row[self.used(d)]) for d, row in enumerate(self.data_mk)])
+
+
+def robust_scatter(values: np.ndarray) -> float:
+    """Standard deviation from the median absolute value; the plain one where that is 0, and 0 without a value."""
+    if not len(values):
+        return 0.0
+    return float(_OF_MEDIAN * np.median(np.abs(values)) or np.sqrt(np.mean(values.astype(float) ** 2)))
 
 
 def find_jumps(block: CleanedBlock, window: int, n_sigma: float) -> dict[tuple[int, int], str]:
@@ -76,17 +87,18 @@ def find_jumps(block: CleanedBlock, window: int, n_sigma: float) -> dict[tuple[i
     dict
         Height of the jump as a text, by detector and scan.
     """
-    lost, scatter = block.lost, robust_scatter(block.data_mk, block.used())
+    lost = block.lost
     for _ in range(_ROUNDS):
         steps = _large_steps(block, lost, window, n_sigma)
-        near = np.zeros(lost.shape, bool)
+        asked = np.zeros(block.n_place + 1, bool)
         for (d, s), place in steps.items():
             start, stop = block.bounds[s]
-            near[d, max(start, place - window) : min(stop, place + window)] = True
-        of_sources = _at_sources(near & ~lost, block, scatter)
-        if not of_sources.any():
+            near = slice(max(start, place - window), min(stop, place + window))
+            asked[block.place(d)[near][~lost[d, near]]] = True
+        sources = _sources(asked, block)
+        if not sources.any():
             break
-        lost = lost | of_sources
+        lost = np.array([row | _at_sources(sources, block, d) for d, row in enumerate(lost)])
     found = {}
     for (d, s), place in steps.items():
         height = _confirmed(block, lost, (d, s), place, window)
@@ -97,20 +109,32 @@ def find_jumps(block: CleanedBlock, window: int, n_sigma: float) -> dict[tuple[i
 
 def _large_steps(block: CleanedBlock, lost: np.ndarray, window: int, n_sigma: float) -> dict[tuple[int, int], int]:
     """Sample of the largest step, by detector and scan, where it is large enough for a jump."""
+    shape = len(block.data_mk), len(block.bounds)
+    most, scatter = np.zeros(shape), np.zeros(shape[0])
+    for d in range(shape[0]):
+        step = _steps(block, lost, d, window)
+        some = step[:: max(1, window // 4)]
+        scatter[d] = robust_scatter(some[some != 0])
+        size = np.append(np.where(block.spared(d), 0, np.abs(step)), 0)
+        most[d] = np.maximum.reduceat(size, block.bounds.ravel())[::2] if shape[1] else 0
+    normal = np.array([np.median(column[column > 0]) if column.any() else 0.0 for column in most.T])
+    large = (most > n_sigma * scatter[:, None]) & (most > _AS_ALL * normal) & (scatter[:, None] > 0)
+    large &= most >= _OTHERS * most.max(axis=0, initial=0)
+    found: dict[tuple[int, int], int] = {}
+    for d in np.flatnonzero(large.any(axis=1)).tolist():
+        size = np.where(block.spared(d), 0, np.abs(_steps(block, lost, d, window)))
+        for s in np.flatnonzero(large[d]).tolist():
+            start, stop = block.bounds[s]
+            found[d, s] = int(start + size[start:stop].argmax())
+    return found
+
+
+def _steps(block: CleanedBlock, lost: np.ndarray, d: int, window: int) -> np.ndarray:
+    """Statistic (n_samp,) of the steps of a detector."""
     from mapmaker.kernels.cleaned_tests import step_statistic
 
-    step = step_statistic(block.data_mk, lost, block.bounds, window, _FEWEST)
-    some = step[:, :: max(1, window // 4)]
-    scatter = robust_scatter(some, some != 0)
-    found: dict[tuple[int, int], int] = {}
-    for s, (start, stop) in enumerate(block.bounds):
-        size = np.where(block.spared[:, start:stop], 0, np.abs(step[:, start:stop]))
-        most = size.max(axis=1)
-        normal = np.median(most[most > 0]) if most.any() else 0.0
-        large = (most > n_sigma * scatter) & (most > _AS_ALL * normal) & (most >= _OTHERS * most.max()) & (scatter > 0)
-        for d in np.flatnonzero(large):
-            found[int(d), s] = int(start + size[d].argmax())
-    return found
+    row = slice(d, d + 1)
+    return step_statistic(block.data_mk[row], lost[row], block.bounds, window, _FEWEST)[0]
 
 
 def _confirmed(block: CleanedBlock, lost: np.ndarray, at: tuple[int, int], place: int, window: int) -> float:
@@ -133,38 +157,55 @@ def find_glitches(block: CleanedBlock, n_sigma: float) -> np.ndarray:
     (n_det, n_samp) bool array
         Samples that are lost by this.
     """
-    used = block.used()
-    scatter = robust_scatter(block.data_mk, used)
-    size = np.where(used & ~block.spared, np.abs(block.data_mk), 0)
-    found = (size > n_sigma * scatter[:, None]) & (size >= _OTHERS * size.max(axis=0)) & (scatter[:, None] > 0)
-    found &= ~_at_sources(found, block, scatter)
-    grown = found.copy()
-    for shift in range(1, _MARGIN + 1):
-        grown[:, shift:] |= found[:, :-shift]
-        grown[:, :-shift] |= found[:, shift:]
-    return grown & used
+    largest = np.zeros(block.data_mk.shape[1], block.data_mk.dtype)
+    for d in range(len(block.data_mk)):
+        np.maximum(largest, _sizes(block, d), out=largest)
+    found, asked = np.zeros(block.lost.shape, bool), np.zeros(block.n_place + 1, bool)
+    for d, row in enumerate(found):
+        size = _sizes(block, d)
+        row[:] = (size > n_sigma * block.scatter[d]) & (size >= _OTHERS * largest) & (block.scatter[d] > 0)
+        if row.any():
+            asked[block.place(d)[row]] = True
+    sources = _sources(asked, block)
+    for d in np.flatnonzero(found.any(axis=1)).tolist():
+        row = found[d] & ~_at_sources(sources, block, d)
+        found[d] = np.convolve(row, np.ones(2 * _MARGIN + 1, bool), "same").astype(bool) & block.used(d)
+    return found
 
 
-def _at_sources(asked: np.ndarray, block: CleanedBlock, scatter: np.ndarray) -> np.ndarray:
-    """Flags (n_det, n_samp) of the used samples that see a source, at the places of the samples that are asked for."""
-    n_place = max(block.place.max(), 0) + 2  # the last one for places that are -1
-    at_source, of_interest = np.zeros((2, n_place), bool)
-    of_interest[block.place[asked]] = True
-    of_interest[-1] = False
-    if not of_interest.any():
-        return np.zeros(asked.shape, bool)
-    used = block.used()
-    detector, sample = np.nonzero(of_interest[block.place] & used & (scatter[:, None] > 0))
-    n_pass = len(scatter) * len(block.bounds)
-    of_pass = detector * len(block.bounds) + block.scan_of_sample()[sample]
-    keys, member = np.unique(block.place[detector, sample].astype(np.int64) * n_pass + of_pass, return_inverse=True)
-    total = np.bincount(member, block.data_mk[detector, sample] / scatter[detector])
-    value = total / np.sqrt(np.bincount(member))
-    places, first = np.unique(keys // n_pass, return_index=True)
-    for place, group in zip(places, np.split(value, first[1:]), strict=True):
+def _sizes(block: CleanedBlock, d: int) -> np.ndarray:
+    """Absolute values (n_samp,) of a detector; 0 where it is not tested."""
+    return np.where(block.used(d) & ~block.spared(d), np.abs(block.data_mk[d]), 0)
+
+
+def _at_sources(sources: np.ndarray, block: CleanedBlock, d: int) -> np.ndarray:
+    """Flags (n_samp,) of the used samples of a detector that see a source, of flags (n_place + 1,) of places."""
+    if not sources.any():
+        return np.zeros(block.data_mk.shape[1], bool)
+    return sources[block.place(d)] & block.used(d)
+
+
+def _sources(asked: np.ndarray, block: CleanedBlock) -> np.ndarray:
+    """Flags (n_place + 1,) of the places that have a source, of those asked for; the last one is that of places -1."""
+    sources, asked = np.zeros(len(asked), bool), asked & (np.arange(len(asked)) < block.n_place)
+    if not asked.any():
+        return sources
+    n_scan, seen = len(block.bounds), []
+    for d in np.flatnonzero(block.scatter > 0).tolist():
+        place = block.place(d)
+        samples = np.flatnonzero(asked[place] & block.used(d))
+        passes, member = np.unique(
+            place[samples] * np.int64(n_scan) + block.scan_of_sample[samples], return_inverse=True
+        )
+        total = np.bincount(member, block.data_mk[d, samples] / block.scatter[d])
+        seen.append((passes // n_scan, total / np.sqrt(np.bincount(member))))
+    at, value = (np.concatenate(columns) for columns in zip(*seen, strict=True))
+    order = np.argsort(at, kind="stable")
+    places, first = np.unique(at[order], return_index=True)
+    for place, group in zip(places, np.split(value[order], first[1:]), strict=True):
         error = _MEDIAN / np.sqrt(len(group))
-        at_source[place] = len(group) >= _PASSES and abs(np.median(group)) > _OF_SOURCE * error
-    return at_source[block.place] & used
+        sources[place] = len(group) >= _PASSES and abs(np.median(group)) > _OF_SOURCE * error
+    return sources
 
 
 def white_noise(data_mk: np.ndarray, lost: np.ndarray, bounds: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from mapmaker.pipeline.config_types import (
 
 _MOST_BYTES = 10**6  # of a configuration
 Kind = Literal["files", "time", "direction", "detectors"]
-Test = Literal["jumps", "glitches", "noise"]
+Test = Literal["jumps", "glitches", "noise", "common"]
 
 
 class IterativeSection(Section):
@@ -100,14 +100,6 @@ class MapSection(Section):
             raise ValueError(f"found {value}; a power of two is expected")
         return value
 
-    @model_validator(mode="after")
-    def _healpix_is_binned(self) -> "MapSection":
-        if self.healpix_nside and self.maker in ("destriped", "maximum_likelihood"):
-            raise ValueError(
-                f'healpix_nside: found {self.healpix_nside} with maker = "{self.maker}"; no such key is expected'
-            )
-        return self
-
 
 class Circle(Section):
     """A circle on the sky."""
@@ -122,7 +114,7 @@ class FlagSection(Section):
     """Tests of the time-streams, and limits of usable data."""
 
     find: Annotated[tuple[Test, ...], Field(strict=False)] = get_args(Test)
-    """Tests of the cleaned streams."""
+    """Tests of the cleaned streams; "common" finds detectors that do not follow the signal of the others."""
     glitch_sigma: number(least=3, most=1e6) = 6.0  # type: ignore[valid-type]
     """A sample farther than this from 0, in robust standard deviations of its detector, is a glitch."""
     jump_sigma: number(least=3, most=1e6) = 8.0  # type: ignore[valid-type]

@@ -27,6 +27,7 @@ JUMP = "jump"
 GLITCH = "glitch"
 NOISY = "noisy"
 QUIET = "too little noise"
+STRANGER = "without the common signal"
 MOST_SCANS = "left out of most scans"
 DISCARDED = "discarded by cleaning"
 OFF_MAP = "off the map"
@@ -49,6 +50,7 @@ EXPLANATIONS = {
     GLITCH: "a sample above flags.glitch_sigma in the cleaned streams, with its neighbours",
     NOISY: "white noise above the median times flags.noise_ratio",
     QUIET: "white noise below the median over flags.noise_ratio: the detector may be disconnected",
+    STRANGER: "the other detectors have a signal in common, which this one does not follow: it may read noise alone",
     MOST_SCANS: "the detector is left out of more than half of the scans",
     DISCARDED: "the cleaning did not converge, or met a dead detector",
     OFF_MAP: "the detector looks beyond the edge of the map",

@@ -24,6 +24,7 @@ from mapmaker.normal_equations import (
 )
 from mapmaker.pipeline.config import Config
 from mapmaker.pipeline.dropped import CLEANING, FILE, Dropped, UnusableFileError
+from mapmaker.pipeline.healpix_sums import HealpixSums
 from mapmaker.pipeline.mapped_file import FileStore, MappedFile
 from mapmaker.pipeline.maps import Maps
 from mapmaker.pipeline.one_file import cleaning_steps
@@ -55,7 +56,9 @@ def iterated_maps(store: FileStore, sums: MapSums, config: Config, tell: Tell) -
         block = _block(file, config)
         rest = subtract_sky(block, found.estimate_mk)
         cleaned = _clean(rest)
-        data = cleaned.data_mk + (block.data_mk - rest.data_mk)
+        data, sky = cleaned.data_mk, rest.data_mk
+        np.subtract(block.data_mk, rest.data_mk, out=sky)
+        data += sky
         weight = np.where(cleaned.kept, file.weight, 0.0)
         sums.add(replace(file, item=replace(file.item, cleaned_mk=data), weight=weight))
     end = "converged" if found.converged else "did not converge"
@@ -116,7 +119,36 @@ def solved_maps(store: FileStore, sums: MapSums, config: Config, tell: Tell) -> 
     end = "converged" if converged else "did not converge"
     solution = f"The solution {end} in {found.iterations} iterations, to a residual of {found.residual[0]:.1g}."
     made = _map(geometry, found.sky_mk[0], weight, hits)
-    return Maps(made, splits, tuple(noise), solution=solution, converged=bool(converged))
+    _add_healpix(store, sums.healpix, found.sky_mk[0])
+    return Maps(made, splits, tuple(noise), sums.healpix, solution, bool(converged))
+
+
+def _add_healpix(store: FileStore, sums: HealpixSums | None, sky_mk: np.ndarray) -> None:
+    """Bin streams of the solution: the map, and the streams without the map less their correlated noise.
+
+    On the pixels of the map itself the second part averages to 0. On others it has the signal within a pixel.
+    """
+    if sums is None:
+        return
+    for file in store.files():
+        item, block = file.item, _normal_block(file)
+        rest = _without_map(file, sky_mk)
+        streams = item.cleaned_mk - rest
+        left = block.noise.apply(rest[None], file.index, item.bounds)[0]
+        weight = np.where(file.weight > 0, block.noise.white(item.bounds), 0.0)
+        for (start, stop), white in zip(item.bounds, weight.T, strict=True):
+            scale = np.divide(1.0, white, out=np.zeros(len(white)), where=white > 0)
+            streams[:, start:stop] += left[:, start:stop] * scale[:, None].astype(left.dtype)
+        sums.add(replace(item, cleaned_mk=streams), file.index, weight)
+
+
+def _without_map(file: MappedFile, sky_mk: np.ndarray) -> np.ndarray:
+    """Cleaned streams (n_det, n_samp) less the map."""
+    from mapmaker.kernels.pixels import look_up
+
+    rest = np.empty_like(file.item.cleaned_mk)
+    look_up(sky_mk[None].astype(rest.dtype), file.index, rest[None])
+    return np.subtract(file.item.cleaned_mk, rest, out=rest)
 
 
 def _normal_block(file: MappedFile) -> NormalBlock:
@@ -152,17 +184,20 @@ def _step_s(file: MappedFile) -> float:
 
 def _flipped(store: FileStore, sky_mk: np.ndarray, n_split: int) -> np.ndarray:
     """Right-hand sides (n_split, n_pixel) of the streams without the map, with second halves of the other sign."""
-    right, padded = np.zeros((n_split, len(sky_mk))), np.append(sky_mk, 0.0)
+    right = np.zeros((n_split, len(sky_mk)))
     for file in store.files():
-        item = file.item
-        rest = item.cleaned_mk - padded[file.index].astype(item.cleaned_mk.dtype)
-        block = _normal_block(file)
+        block, bounds, rest = _normal_block(file), file.item.bounds, _without_map(file, sky_mk)
         for half, out in zip(file.halves, right, strict=True):
-            signed = np.zeros_like(rest)
-            for (start, stop), sign in zip(item.bounds, np.where(half, 1, -1).T, strict=True):
-                signed[:, start:stop] = sign[:, None] * rest[:, start:stop]
-            add_right_side(block, signed, out)
+            _change_signs(rest, bounds, half)
+            add_right_side(block, rest, out)
+            _change_signs(rest, bounds, half)
     return right
+
+
+def _change_signs(streams: np.ndarray, bounds: np.ndarray, half: np.ndarray) -> None:
+    """Change the sign of the scans (n_det, n_scan) that are not in the first half, in place."""
+    for (start, stop), first in zip(bounds, half.T, strict=True):
+        streams[~first, start:stop] *= -1
 
 
 def _map(geometry: MapGeometry, sky_mk: np.ndarray, weight: np.ndarray, hits: np.ndarray) -> BinnedMap:

@@ -13,6 +13,8 @@ from mapmaker.pipeline.dropped import OFF_MAP, SAMPLES, Dropped
 from mapmaker.pipeline.one_file import CleanedFile
 from mapmaker.pipeline.splits import Split, first_half
 
+_ALIGNED = 64  # bytes: kernels are compiled for aligned arrays
+
 
 @dataclass(frozen=True)
 class MappedFile:
@@ -87,20 +89,30 @@ def mapped_file(
 
 
 class FileStore:
-    """Mapped files in a folder, for map-makers that need them several times; one is in memory at a time."""
+    """Mapped files in a folder, for map-makers that need them several times.
+
+    Their arrays are mapped into memory, so that only those in use take any.
+    """
 
     def __init__(self, folder: str | Path) -> None:
-        self.folder, self.paths = Path(folder), list[Path]()
+        self.folder, self.records = Path(folder), list[tuple[bytes, list[slice]]]()
 
     def add(self, item: MappedFile) -> None:
         """Add a file."""
-        path = self.folder / f"{len(self.paths)}.pickle"
-        with open(path, "wb") as file:
-            pickle.dump(item, file, protocol=5)
-        self.paths.append(path)
+        arrays: list[pickle.PickleBuffer] = []
+        record, places = pickle.dumps(item, protocol=5, buffer_callback=arrays.append), []
+        with open(self._path(len(self.records)), "wb") as file:
+            for array in arrays:
+                begin = file.seek(-(-file.tell() // _ALIGNED) * _ALIGNED)
+                places.append(slice(begin, begin + file.write(array.raw())))
+            file.truncate(max(1, file.tell()))
+        self.records.append((record, places))
 
     def files(self) -> Iterator[MappedFile]:
         """Yield all files, in the order in which they came."""
-        for path in self.paths:
-            with open(path, "rb") as file:
-                yield pickle.load(file)
+        for number, (record, places) in enumerate(self.records):
+            content = np.memmap(self._path(number), mode="c")
+            yield pickle.loads(record, buffers=[content[place] for place in places])
+
+    def _path(self, number: int) -> Path:
+        return self.folder / f"{number}.arrays"

@@ -8,9 +8,8 @@ import numpy as np
 from mapmaker.cleaning import Cleaned, clean_in_order
 from mapmaker.errors import ArgumentError, InsufficientDataError
 from mapmaker.files import one_line
-from mapmaker.geometry import MapGeometry, mean_direction, pixel_centres, pixel_indices, plane_offsets
-from mapmaker.lost_samples import fill_flagged
 from mapmaker.pipeline.cleaned_tests import CleanedBlock, find_glitches, find_jumps, mean_square, white_noise
+from mapmaker.pipeline.common_signal import compare_with_others, strangers
 from mapmaker.pipeline.config import Config, FlagSection
 from mapmaker.pipeline.dropped import (
     CLEANING,
@@ -26,16 +25,16 @@ from mapmaker.pipeline.dropped import (
     QUIET,
     SAMPLES,
     SCAN,
+    STRANGER,
     UNITS,
     Dropped,
     UnusableFileError,
 )
+from mapmaker.pipeline.places import Circles, Places, circles, half_beams
 from mapmaker.pipeline.usable import Usable, in_scans, leave_out, mostly_lost, usable_data, without_bad_scans
 from mapmaker.timestreams import Timestreams
 
-_MOST_PLACES = 10_000  # along a side of the map of places
 _RMS_MK = 1e-8, 1e8  # of cleaned streams: beyond it they are hardly in mK
-_CIRCLE = 101  # pixels across a spared circle
 
 
 @dataclass(frozen=True)
@@ -94,14 +93,15 @@ def clean_file(name: str, streams: Timestreams, config: Config) -> CleanedFile:
         raise UnusableFileError((Dropped(name, FILE, NAMES, detail=str(values[counts > 1][0])),))
     state = usable_data(name, streams, labels, config.flags)
     cleaned = _clean(streams, state, config)
-    spared, place = spared_samples(streams, config.flags), _places(streams)
+    spared, places = circles(config.flags.spare, streams), half_beams(streams)
     glitches = np.zeros(streams.data_mk.shape, bool)
     for _ in range(config.flags.passes):
-        after, new = _tested(cleaned, streams, state, spared=spared, place=place, flags=config.flags)
+        after, new = _tested(cleaned, streams, state, spared=spared, places=places, flags=config.flags)
         if after is state:
             break
         glitches |= new
         state = without_bad_scans(after)
+        del cleaned  # one copy less beside the next
         cleaned = _clean(streams, state, config)
     return _result(streams, state, cleaned, glitches)
 
@@ -111,17 +111,24 @@ def _clean(streams: Timestreams, state: Usable, config: Config) -> Cleaned:
     if not len(state.bounds) or not state.live.any():
         found = "no scan" if state.live.any() else "no detector"
         raise UnusableFileError((*state.dropped, Dropped(state.name, FILE, NO_SCAN, detail=f"{found} is left")))
-    live = state.live
-    plane, lost = streams.focal_plane.subset(live), state.lost[live]
-    filled = fill_flagged(streams.data_mk[live], state.bounds, lost)
+    plane = streams.focal_plane.subset(state.live)
     try:
         steps = cleaning_steps(streams, config)
     except ArgumentError as error:  # a frequency beyond what the file has
         raise _uncleanable(state, error) from None
     try:
-        return clean_in_order(steps, filled, state.bounds, plane)
+        return clean_in_order(steps, _filled(streams, state.live, state.bounds, state.lost), state.bounds, plane)
     except InsufficientDataError as error:
         raise _uncleanable(state, error) from None
+
+
+def _filled(streams: Timestreams, rows: np.ndarray, bounds: np.ndarray, lost: np.ndarray) -> np.ndarray:
+    """Copy of some detectors' streams, with their lost samples filled as by `mapmaker.fill_flagged`."""
+    from mapmaker.kernels.lost_samples import fill_gaps
+
+    data = streams.data_mk[rows]
+    fill_gaps(data, bounds, lost[rows])
+    return data
 
 
 def cleaning_steps(streams: Timestreams, config: Config) -> list[tuple[str, Any]]:
@@ -134,36 +141,22 @@ def _uncleanable(state: Usable, error: Exception) -> UnusableFileError:
     return UnusableFileError((*state.dropped, Dropped(state.name, FILE, CLEANING, detail=one_line(error))))
 
 
-def spared_samples(streams: Timestreams, flags: FlagSection) -> np.ndarray:
-    """Flags (n_det, n_samp) of the samples within the circles that are spared tests."""
-    found = np.zeros(streams.data_mk.shape, bool)
-    for circle in flags.spare:
-        geometry = MapGeometry(*circle.centre, 2 * circle.radius / _CIRCLE, _CIRCLE, _CIRCLE)
-        inside = np.hypot(*pixel_centres(geometry)) <= circle.radius
-        found |= np.append(inside.ravel(), False)[pixel_indices(geometry, streams)]
-    return found
-
-
-def _places(streams: Timestreams) -> np.ndarray:
-    """Pixel (n_det, n_samp) of each sample on a map of half beams; -1 off it."""
-    inside = in_scans(streams.scan_bounds, len(streams.time_s))
-    ra, dec = streams.ra_rad[inside], streams.dec_rad[inside]
-    centre, plane = mean_direction(ra, dec), streams.focal_plane
-    offsets = plane_offsets(MapGeometry(*centre, 1e-6, 1, 1), ra, dec)
-    reach = np.nanmax(np.abs(offsets)) + np.hypot(plane.x_rad, plane.y_rad).max()
-    side = max(plane.fwhm_rad / 2, 2 * reach / _MOST_PLACES)
-    n = int(np.ceil(2 * reach / side)) + 1
-    return pixel_indices(MapGeometry(*centre, side, n, n), replace(streams, flags=None))
-
-
 def _tested(
-    cleaned: Cleaned, streams: Timestreams, state: Usable, *, spared: np.ndarray, place: np.ndarray, flags: FlagSection
+    cleaned: Cleaned, streams: Timestreams, state: Usable, *, spared: Circles, places: Places, flags: FlagSection
 ) -> tuple[Usable, np.ndarray]:
     """Test the cleaned streams of the live detectors; returns the state itself if nothing new is found, and glitches
     (n_det, n_samp).
     """
     rows, after, glitches = np.flatnonzero(state.live), state, np.zeros(state.lost.shape, bool)
-    block = CleanedBlock(cleaned.data_mk, state.lost[rows], state.bounds[cleaned.kept], spared[rows], place[rows])
+    n_samp = len(streams.time_s)
+    block = CleanedBlock(
+        data_mk=cleaned.data_mk,
+        lost=state.lost[rows],
+        bounds=state.bounds[cleaned.kept],
+        spared=lambda d: spared.hold(rows[d], n_samp),
+        place=lambda d: places.of(rows[d]),
+        n_place=places.geometry.n_x * places.geometry.n_y,
+    )
     if "jumps" in flags.find:
         at = find_jumps(block, _window(streams, state.bounds, flags.jump_window), flags.jump_sigma)
         after = _without_jumps(at, after, rows, np.flatnonzero(cleaned.kept))
@@ -174,6 +167,8 @@ def _tested(
             after = leave_out(after, mostly_lost(after.lost, after.bounds, flags.max_lost), MOST_LOST)
     if "noise" in flags.find and after is state:
         after = _without_outlying_noise(cleaned, after, rows, flags.noise_ratio)
+    if "common" in flags.find and after is state:
+        after = _without_strangers(streams, after, rows)
     return after, glitches
 
 
@@ -202,13 +197,29 @@ def _without_outlying_noise(cleaned: Cleaned, state: Usable, rows: np.ndarray, r
     noise = white_noise(cleaned.data_mk, state.lost[rows], state.bounds[cleaned.kept])
     if not noise.any():
         return state
-    middle, live, dropped = np.median(noise[noise > 0]), state.live.copy(), list(state.dropped)
-    samples = int(np.diff(state.bounds, axis=1).sum())
+    middle, found = np.median(noise[noise > 0]), []
     for d in np.flatnonzero((noise > ratio * middle) | (noise < middle / ratio)):
-        reason, detail = NOISY if noise[d] > middle else QUIET, f"{noise[d] / middle:.3g} times the median"
-        live[rows[d]] = False
-        dropped.append(Dropped(state.name, DETECTOR, reason, state.labels[rows[d]], samples=samples, detail=detail))
-    return replace(state, live=live, dropped=tuple(dropped)) if live.sum() < state.live.sum() else state
+        found.append((rows[d], NOISY if noise[d] > middle else QUIET, f"{noise[d] / middle:.3g} times the median"))
+    return _without_detectors(state, found)
+
+
+def _without_strangers(streams: Timestreams, state: Usable, rows: np.ndarray) -> Usable:
+    correlations, gains = compare_with_others(streams.data_mk, state.lost, state.bounds, rows)
+    found = np.flatnonzero(strangers(correlations, gains))
+    detail = f"%.2g, median {np.median(correlations):.2g}"
+    return _without_detectors(state, [(rows[d], STRANGER, f"correlation {detail % correlations[d]}") for d in found])
+
+
+def _without_detectors(state: Usable, found: list[tuple[int, str, str]]) -> Usable:
+    """Leave out detectors, each with its reason and detail; returns the state itself for none."""
+    if not found:
+        return state
+    live, dropped = state.live.copy(), list(state.dropped)
+    samples = int(np.diff(state.bounds, axis=1).sum())
+    for d, reason, detail in found:
+        live[d] = False
+        dropped.append(Dropped(state.name, DETECTOR, reason, state.labels[d], samples=samples, detail=detail))
+    return replace(state, live=live, dropped=tuple(dropped))
 
 
 def _result(streams: Timestreams, state: Usable, cleaned: Cleaned, glitches: np.ndarray) -> CleanedFile:
@@ -231,7 +242,7 @@ def _result(streams: Timestreams, state: Usable, cleaned: Cleaned, glitches: np.
     rms = float(np.sqrt(np.median(variance)))
     if not _RMS_MK[0] <= rms <= _RMS_MK[1]:
         raise UnusableFileError((*dropped, Dropped(state.name, FILE, UNITS, detail=f"{rms:.2g} mK")))
-    filled = fill_flagged(streams.data_mk[rows], bounds, lost)
+    filled = _filled(streams, rows, bounds, state.lost)
     some = replace(streams, data_mk=filled, focal_plane=streams.focal_plane.subset(rows), flags=lost)
     return CleanedFile(
         name=state.name,

@@ -181,19 +181,27 @@ def _field(
 ) -> Field:
     """Read the pointing of all files, until place and size of the map are known; adds files that can't be used."""
     field = None
-    stated = config.map.centre and config.map.size
     for number, (path, name) in enumerate(zip(paths, names, strict=True)):
         try:
-            streams = read_timestreams(path, fwhm_rad=config.input.fwhm)
-            field = stated_field(streams, config.map) if stated else extended(field, name, streams, config.map)
+            field = _with_file(field, path, name, config)
         except InputError as error:
             bad[name] = _of_error(path, name, error)
         show("reading", number + 1, len(paths))
-        if stated and field:
+        if _stated(config) and field:
             break
     if field is None:
         raise _nothing_left([item for items in bad.values() for item in items])
     return field
+
+
+def _with_file(field: Field | None, path: str | Path, name: str, config: Config) -> Field:
+    """Extend a field by a file, which is not kept in memory."""
+    streams = read_timestreams(path, fwhm_rad=config.input.fwhm)
+    return stated_field(streams, config.map) if _stated(config) else extended(field, name, streams, config.map)
+
+
+def _stated(config: Config) -> bool:
+    return config.map.centre is not None and config.map.size is not None
 
 
 def _of_error(path: str | Path, name: str, error: InputError) -> tuple[Dropped, ...]:

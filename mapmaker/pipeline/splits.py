@@ -42,19 +42,23 @@ def make_splits(section: JackknifeSection, n_file: int, maker: str = "binned") -
         if kind == "detectors" and maker == "maximum_likelihood":
             continue
         if kind == "files":
-            halves = _halves_of_files(n_file, section.files, section.seed)
+            halves = _halves_of_files(n_file, section.files, section.seed, "time" in section.splits)
             splits += [Split(f"files_{k}", kind, half) for k, half in enumerate(halves, 1)]
         else:
             splits.append(Split(kind, kind))
     return tuple(splits)
 
 
-def _halves_of_files(n_file: int, wanted: int, seed: int) -> list[frozenset[int]]:
-    """Different random halves of the files, with file 0 in none; fewer where there are not so many."""
-    rng, found = np.random.default_rng(seed), []
+def _halves_of_files(n_file: int, wanted: int, seed: int, no_later: bool) -> list[frozenset[int]]:
+    """Different random halves of the files, with file 0 in none; fewer where there are not so many.
+
+    With `no_later` the later half is none of them: the division in time has it, where files are even in number.
+    """
+    rng, found = np.random.default_rng(seed), list[frozenset[int]]()
+    later = frozenset(range(n_file // 2, n_file)) if no_later and n_file % 2 == 0 else None
     for _ in range(_TRIES * wanted if n_file > 1 else 0):
         half = frozenset((1 + rng.permutation(n_file - 1)[: n_file // 2]).tolist())
-        if half not in found:
+        if half not in (*found, later):
             found.append(half)
         if len(found) == wanted:
             break

@@ -1,6 +1,8 @@
 """The Python interface of surveys: simulate, run, forecast and plan a scene."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from time import perf_counter
 
@@ -12,10 +14,11 @@ from surveysim.forecasting.forecast import forecast as forecast_scene
 from surveysim.output.directory import begin, claimed, remove_nested, replacing
 from surveysim.output.expected_files import of_forecast, of_run
 from surveysim.output.writer import write_forecast, write_outputs
-from surveysim.reduction.setup import is_quick, prepare
+from surveysim.reduction.setup import Setup, is_quick, prepare
+from surveysim.results.control_variate import known_expectations
 from surveysim.results.results import SurveyResult, survey_result
 from surveysim.results.stopping import StoppingCriteria, check_limits, stopping_rule
-from surveysim.runtime.engine import SERIAL, Engine, default_workers
+from surveysim.runtime.engine import SERIAL, Engine, default_workers, defer_signals
 from surveysim.runtime.errors import InputError, SceneError
 from surveysim.scene.metrics import SIGMA_KEY
 from surveysim.scene.scene import Scene, load_scene
@@ -103,6 +106,7 @@ def run_survey(
             progress=progress,
             stops=stops,
             solving=solving,
+            meanwhile=lambda: _ready_for_the_end(setup, figures and out is not None),
         )
         return survey_result(
             setup, coadds, wall_s=perf_counter() - start, workers=workers, limits=limits, engine=engine.kind
@@ -126,6 +130,15 @@ def run_survey(
             # None of before a resumption that asked for them.
             write_outputs(new, result, figures, [name for name in names if (place.path / name).is_file()])
     return result
+
+
+def _ready_for_the_end(setup: Setup, figures: bool) -> None:
+    """Do what the end of a run needs: expectations of the scores, and the library for figures."""
+    if setup.scene.score is not None:
+        known_expectations(setup)
+    if figures:
+        with defer_signals(), suppress(Exception):  # each figure that can't be drawn is reported at the end
+            import_module("surveysim.report.figures.survey")
 
 
 def finished_survey(scene: Scene, out: Path) -> SurveyResult:

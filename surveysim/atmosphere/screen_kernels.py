@@ -18,10 +18,10 @@ def combine_columns(columns, start, normals, modes):
     start : (n_freq + 1,)
     normals : (n_strip, 2 n_total or more)
         Real and imaginary parts in turn.
-    modes : (n_strip, n_lane, n_freq)
+    modes : (n_strip, n_lane, n_freq or more)
         Complex output.
     """
-    n_strip, n_lane, n_freq = modes.shape
+    n_strip, n_lane, n_freq = modes.shape[0], modes.shape[1], start.size - 1
     real = np.empty((n_strip, columns.shape[1]), columns.dtype)
     imag = np.empty((n_strip, columns.shape[1]), columns.dtype)
     for k in range(n_freq):

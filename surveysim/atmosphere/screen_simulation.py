@@ -191,13 +191,13 @@ def draw_strips(strip: Strip, deviates: NormalDeviates, first: Sequence[int]) ->
     else:
         for row, position in zip(normals, first, strict=True):
             deviates.fill(row, position)
-    real = strip.columns.dtype
-    modes = np.empty((len(first), strip.n_lane, len(strip.start) - 1), np.result_type(real, np.complex64))
+    real, n_freq = strip.columns.dtype, len(strip.start) - 1
+    # Higher modes are zero. The inverse transform uses only the real parts of the real modes.
+    modes = np.zeros((len(first), strip.n_lane, strip.n_x // 2 + 1), np.result_type(real, np.complex64))
     combine_columns(strip.columns, strip.start, normals, modes)
     if strip.n_across:
         above = normals[:, 2 * len(strip.columns) : -1]
-        modes = np.concatenate([modes, across_modes(strip, above)], axis=2)
-    # The inverse transform sets higher modes to zero, and uses only the real parts of the real modes.
+        modes[:, :, n_freq : n_freq + len(strip.amplitude)] = across_modes(strip, above)
     layers = irfft(modes, n=strip.n_x, axis=-1, overwrite_x=True)
     slopes = (normals[:, -1] * strip.ramp_std * strip.step_rad).astype(real)
     layers += slopes[:, None, None] * np.arange(strip.n_x, dtype=real)

@@ -1,10 +1,10 @@
 """The command line: the program's options, and the list of its commands."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from typer.core import TyperArgument, TyperCommand
 
+from mapmaker.cli.plain import PlainCommand
 from mapmaker.printable import say
 from surveysim import __version__
 from surveysim.cli import budgets, compare, optimise, runs, scenes, studies, tracks
@@ -32,20 +32,6 @@ COMMANDS = (
     scenes.new,
     scenes.cameras,
 )
-
-
-class PlainCommand(TyperCommand):
-    """Command whose help shows arguments as SCENE, without types and braces."""
-
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        for param in self.params:
-            if isinstance(param, TyperArgument):
-                param.display_type_rich = lambda ctx: None  # type: ignore[method-assign]
-
-    def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """Return the words of the usage line."""
-        return [piece.replace("{", "").replace("}", "") for piece in super().collect_usage_pieces(ctx)]
 
 
 for command in COMMANDS:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from surveysim.studies.sweep.bands import MultiBandSweep
 
 DEEPEST = 9  # dots in a key
+LARGEST_TEXT = 1_000_000  # bytes of a scene that is read in advance
+MANY = 64  # observations that worker processes share, unless they have very few samples
 
 
 def _scene_file(scene: Path | None) -> Path | None:
@@ -144,6 +146,17 @@ def ready_setup(path: Path, given: list[str] | None) -> "Setup":
     except SceneError as error:
         changed = "".join(f" --set {item}" for item in given or ())
         raise SceneError(f"{path}{' with' if changed else ''}{changed}: {error}") from None
+
+
+def has_many_observations(path: Path, given: list[str] | None) -> bool:
+    """Return whether the text of a scene has many observations; the scene is not checked."""
+    try:
+        if not path.is_file() or path.stat().st_size > LARGEST_TEXT:  # a pipe can be read once
+            return False
+        content = tomllib.loads(path.read_text(encoding="utf-8")) | settings(given)
+        return bool(content["observations"] >= MANY)
+    except Exception:  # which is reported when the scene is read with care
+        return False
 
 
 def sweep_of(path: Path, given: list[str] | None, reference: str | None = None) -> "Sweep | MultiBandSweep | None":

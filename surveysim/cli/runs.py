@@ -95,6 +95,8 @@ def run(
     """Simulate, clean, map and score a scene or a sweep."""
     with_engine = options.engine(engine, workers, scheduler)
     refuse_reference(reference, point)
+    if target_error is None and options.has_many_observations(scene, settings):
+        with_engine.start_early()
     sweep = sweep_of(scene, settings, reference)
     if keep_all:
         refuse_keep_all(scene, point, sweep is not None)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from mapmaker.bandpower import BandPower, band_power
 from surveysim.forecasting.closed_forms import CLOSED_FORMS
@@ -110,6 +111,7 @@ class Forecast:
         return self._table().html()
 
 
+@threadpool_limits.wrap(limits=1)  # no bit depends on the cores of the machine
 def forecast(setup: Setup, kept: dict[str, np.ndarray] | None = None) -> Forecast:
     """Forecast the data sets of a scene.
 

@@ -26,6 +26,7 @@ import numpy as np
 
 from mapmaker.transfer_function import pixel_window
 from surveysim.forecasting.closed_forms import CLOSED_FORMS, ClosedForm, Noise, layers
+from surveysim.forecasting.mode_mixing import ModeMixing, mode_mixing
 from surveysim.forecasting.mode_response import PROJECTIONS, ProjectedArray, projected_array, ring_modes
 from surveysim.forecasting.noise_bins import MapBins, NoiseBins, noise_only_bins, scan_frequencies
 from surveysim.forecasting.observing_conditions import (
@@ -107,13 +108,13 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
         Where the focal plane does not support the templates of the cleaning.
     """
     scene, region = setup.scene, setup.analysis.region
-    shapes = white_shapes(setup)
+    shapes, mixing = white_shapes(setup), mode_mixing(region, scene.score)
     for pipeline in forecast_pipelines(setup):
         bins = map_bins(setup, pipeline, conditions, shapes, pipeline_filters(setup, pipeline))
         transmission = _transmission(setup, bins) * conditions.gain.mean() ** 2
         signal = left_signal(setup.analysis.beams, setup.analysis.geometry, setup.sky.geometry, region, transmission)
         n_det = len(bins[0].arrays[0].place)
-        yield NoiseModel(pipeline.data_set, pipeline, n_det, track_noise(bins), signal)
+        yield NoiseModel(pipeline.data_set, pipeline, n_det, _mixed(track_noise(bins), mixing), signal)
         if pipeline is setup.analysis.pipelines[0]:
             for name in scene.score.noise_only_sets:
                 of_set = [noise_only_bins(item, name, scene.score.white_noise_above_hz) for item in bins]
@@ -172,6 +173,14 @@ def _track_mean(parts: list[Noise]) -> Noise:
         return np.sum([weight * part(conditions) for weight, part in zip(share, parts, strict=True)], axis=0)
 
     return parts[0] if len(parts) == 1 else mean
+
+
+def _mixed(parts: dict[ClosedForm, Noise], mixing: ModeMixing) -> dict[ClosedForm, Noise]:
+    """Mix the bins of the layers by the map's taper. Noise of the detectors is about the same across the scans."""
+    if layers not in parts:
+        return parts
+    of_layers = parts[layers]
+    return parts | {layers: lambda conditions: mixing.mixed(of_layers(conditions))}
 
 
 def forecast_pipelines(setup: Setup) -> tuple[CleaningPipeline, ...]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.bands import TABLE, MultiBandScene
+from surveysim.scene.file_keys import file_keys
 from surveysim.scene.scene import Origin, Scene, scene_hash, scene_of
 from surveysim.telescope.diffraction import with_beam
 
@@ -74,8 +75,6 @@ def _self_contained(origin: Origin, name: str) -> tuple[str, dict[str, bytes]]:
 
 def file_values(content: Mapping[str, Any]) -> Iterator[tuple[Keys, Any]]:
     """Find the names of files in a scene, and lists of them in its sweep, with their keys."""
-    from surveysim.scene.keys import file_keys
-
     sweep = content.get("sweep", {})
     bands = [f"{TABLE}.{name}." for name in content.get(TABLE, {})]
     for key in (f"{band}{key}" for band in ("", *bands) for key in file_keys()):

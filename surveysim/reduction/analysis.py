@@ -104,13 +104,13 @@ class AnalysisSetup:
         """Responsivities for template cleaning of all detectors: the method to fit them, or known ones (n_det,)."""
         return self.scene.cleaning.responsivities if self.calibration is None else self.calibration[0]
 
-    @property
+    @once
     def data_sets(self) -> tuple[DataSet, ...]:
         """Data sets, in the order of their maps."""
         score = self.scene.score
         return data_sets(self.pipelines, score.noise_only_sets if score else (), score is not None, self.n_det)
 
-    @property
+    @once
     def data_set_names(self) -> tuple[str, ...]:
         """Names of the data sets, in the order of their maps."""
         return tuple(item.name for item in self.data_sets)
@@ -135,7 +135,7 @@ class AnalysisSetup:
         """Return whether a pipeline needs the wind."""
         return any(pipeline.uses("wind") for pipeline in self.pipelines)
 
-    @property
+    @once
     def transfer_function_names(self) -> tuple[str, ...]:
         """Names of the data sets that have a transfer function of their own; the others share the first."""
         return tuple(item.name for item in self.data_sets if item.own_transfer_function)

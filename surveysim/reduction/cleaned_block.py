@@ -36,14 +36,14 @@ class CleanedBlock:
     cleaned: tuple[Cleaned, ...]
 
     @cached_property
+    def pixels(self) -> np.ndarray:
+        """Pixels (n_det, n_samp) of all samples: -1 for lost samples and off the map."""
+        return block_pixels(self.setup, self.pointing, self.streams.flags, slice(None))
+
+    @cached_property
     def index(self) -> tuple[np.ndarray, ...]:
-        """Pixels (n_det, n_samp) of the samples of each pipeline: -1 for lost samples and off the map."""
-        pointing, plane = self.pointing, self.streams.focal_plane
-        angle = pointing.array_angle_rad
-        pixels = boresight_pixels(self.setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
-        if self.streams.flags is not None:
-            pixels[self.streams.flags] = -1
-        return tuple(pixels[pipeline.rows] for pipeline in self.pipelines)
+        """Pixels (n_det, n_samp) of the samples of each pipeline."""
+        return tuple(self.pixels[pipeline.rows] for pipeline in self.pipelines)
 
     @cached_property
     def normal(self) -> NormalBlock | None:
@@ -88,12 +88,20 @@ def reduce_block(
     return CleanedBlock(setup, observation, block, pointing, streams, data_mk, pipelines, auxiliary, tuple(cleaned))
 
 
+def block_pixels(setup: Setup, pointing: Pointing, flags: np.ndarray | None, rows: slice) -> np.ndarray:
+    """Pixels (n, n_samp) of the samples of some detectors: -1 for lost samples (n_det, n_samp) and off the map."""
+    plane, angle = setup.camera.focal_plane.subset(rows), pointing.array_angle_rad
+    pixels = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
+    if flags is not None:
+        pixels[flags[rows]] = -1
+    return pixels
+
+
 def _less_bright_sky(setup: Setup, streams: DrawnBlock) -> np.ndarray:
     """Subtract the bright sky, as detectors of unit responsivity see it; the streams themselves without one."""
     if setup.bright_sky_mk is None:
         return streams.data_mk
-    of, plane = streams.of.pointing, streams.focal_plane
-    index = boresight_pixels(setup.analysis.geometry, of.xi_rad, of.eta_rad, of.array_angle_rad, plane=plane)
+    index = block_pixels(setup, streams.of.pointing, None, slice(None))
     padded = np.append(setup.bright_sky_mk, 0.0).astype(streams.data_mk.dtype)  # index -1, off the map, is the last
     return streams.data_mk - padded[index]
 

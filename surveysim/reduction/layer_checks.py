@@ -14,13 +14,13 @@ def check_changes(scene: Scene) -> None:
         given = scene.atmosphere.layers[number] if scene.atmosphere.layers else None
         seconds, drift = layer.decorrelation_time_s, layer.wind_drift
         if seconds is not None and seconds < FASTEST * scan_s:
-            where = f"layers[{number}]." if given and given.decorrelation_time_s else ""
+            where = f"layers.{number}." if given and given.decorrelation_time_s else ""
             raise SceneError(
                 f"atmosphere.{where}decorrelation_time: found {seconds:g} s; {FASTEST * scan_s:g} s or more is"
                 f" expected, a tenth of {key}"
             )
         if drift is not None and drift.time_scale_s < scan_s:
-            where = f"layers[{number}]." if given and given.wind_drift else ""
+            where = f"layers.{number}." if given and given.wind_drift else ""
             raise SceneError(
                 f"atmosphere.{where}wind_drift.time_scale: found {drift.time_scale_s:g} s; {scan_s:g} s or more is"
                 f" expected, {key}"

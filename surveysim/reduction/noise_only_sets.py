@@ -6,11 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.chunks import row_chunks
-from mapmaker.geometry import boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
 from mapmaker.kernels.spectra import scale_mean_removed
 from mapmaker.normal_equations import NormalBlock, add_right_side
-from mapmaker.timestreams import scan_bounds
+from surveysim.reduction.cleaned_block import block_pixels
 from surveysim.reduction.detector_weights import weighted
 from surveysim.reduction.noise_weights import BlockWeights
 from surveysim.reduction.setup import Setup
@@ -50,6 +49,7 @@ def add_simulated(
     psd: np.ndarray,
     white: np.ndarray,
     noise_weights: Sequence[BlockWeights],
+    pixels: np.ndarray | None,
     watch: Stopwatch,
 ) -> None:
     """Add the maps of the noise-only sets (section 5.2), in the scans that the actual data keep.
@@ -68,13 +68,13 @@ def add_simulated(
         White levels measured on the cleaned streams [mK^2/Hz].
     noise_weights
         Weights of the blocks of the actual data, in a map that is solved for.
+    pixels : (n_det, n_samp)
+        Pixels of the samples of an observation of one block; None where they are computed anew.
     """
     solved, of_blocks = setup.scene.map.solved, {item.block: item for item in noise_weights}
-    plane = setup.camera.focal_plane
     for block, kept in zip(setup.observing.blocks, kept_scans, strict=True):
         pointing = whole.scans(block.first, block.end)
-        lost = sample_flags(observed_block(setup, observation, block, whole), watch)
-        angle, bounds = pointing.array_angle_rad, scan_bounds(pointing.scan)
+        lost = None if pixels is not None else sample_flags(observed_block(setup, observation, block, whole), watch)
         scene, names = setup.scene, setup.scene.score.noise_only_sets
         purposes = [NOISE_ONLY_SETS[name].purpose for name in names]
         deviates = [
@@ -85,10 +85,7 @@ def add_simulated(
         for rows in together:
             weight = None if setup.analysis.weight is None else setup.analysis.weight[rows]
             with watch("pixels"):
-                some = plane.subset(rows)
-                index = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=some)
-                if lost is not None:
-                    index[lost[rows]] = -1
+                index = block_pixels(setup, pointing, lost, rows) if pixels is None else pixels[rows]
             for name, own in zip(names, deviates, strict=True):
                 with watch("simulated sets"):
                     data = NOISE_ONLY_SETS[name].draw(setup, own, rows, psd=psd, white=white, n_scans=block.n_scans)
@@ -97,7 +94,7 @@ def add_simulated(
                         _add_right_side(of_blocks.get(block.number), index, data, maps[name][0])
                     continue
                 with watch("binning"):
-                    bin_samples(weighted(data, weight), index, bounds, kept[0], maps[name][0], None)
+                    bin_samples(weighted(data, weight), index, pointing.scan_bounds, kept[0], maps[name][0], None)
 
 
 def _add_right_side(weights: BlockWeights | None, index: np.ndarray, data: np.ndarray, total: np.ndarray) -> None:

@@ -54,7 +54,8 @@ class _Sums:
     (n_det,); number `flagged` of lost samples. Of each block: `kept`, `iterations` and `removed` (n_pipeline, n_scan),
     `lost` (n_scan,) scans, and the number of kept scans with their mean PSD (n_freq,) [mK^2/Hz], before cleaning
     (`raw`) and after the other pipelines (`compared`). `noise_weights` of blocks with a kept scan, of maps that are
-    solved for; `probe` (n_pixel,) is P^T N^-1 P of `probe_map`, of maximum-likelihood maps.
+    solved for; `probe` (n_pixel,) is P^T N^-1 P of `probe_map`, of maximum-likelihood maps. `pixels` (n_det, n_samp) of
+    the samples of an observation of one block, None of several.
     """
 
     maps: dict[str, Map]
@@ -72,6 +73,7 @@ class _Sums:
     compared: list[list[tuple[int, np.ndarray]]] = field(default_factory=list)
     noise_weights: list[BlockWeights] = field(default_factory=list)
     probe: np.ndarray = field(default_factory=partial(np.zeros, 0))
+    pixels: np.ndarray | None = None
 
 
 def observe(
@@ -116,6 +118,7 @@ def observe(
             psd=psd,
             white=white,
             noise_weights=sums.noise_weights,
+            pixels=sums.pixels,
             watch=watch,
         )
     if weights_path is not None:
@@ -202,8 +205,9 @@ def _add_part(sums: _Sums, part: CleanedBlock, save: Callable[[CleanedBlock], No
     with watch("spectra"):
         _add_spectra(sums, part)
     with watch("pixels"):
-        pixels = part.index
-    for pipeline, index, item in zip(part.pipelines, pixels, part.cleaned, strict=True):
+        index_of_each = part.index
+    sums.pixels = part.pixels if len(setup.observing.blocks) == 1 else None
+    for pipeline, index, item in zip(part.pipelines, index_of_each, part.cleaned, strict=True):
         if setup.scene.map.solved:
             _add_right_side(sums, part, watch)
             continue

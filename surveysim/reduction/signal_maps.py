@@ -41,8 +41,7 @@ def add_signal_maps(signal_maps: np.ndarray, part: CleanedBlock, skies_mk: np.nd
 def _add_some(signal_maps: np.ndarray, part: CleanedBlock, skies_mk: np.ndarray) -> None:
     setup, streams = part.setup, part.streams
     signals = np.empty((len(skies_mk), *part.data_mk.shape), part.data_mk.dtype)
-    for sky, signal in zip(skies_mk, signals, strict=True):
-        write_sky_signal(setup, part.pointing, sky, signal)
+    write_sky_signal(setup, part.pointing, skies_mk, signals)
     passed = [streams.filled(streams.response.output(*item)) for item in zip(skies_mk, signals, strict=True)]
     for pipeline, index, base in zip(part.pipelines, part.index, part.cleaned, strict=True):
         kept, differences = _cleaned_signals(part, pipeline, base, passed)
@@ -105,9 +104,9 @@ def _cleaned_signals(
     kept[:, scans] &= cleaned.kept.reshape(n_sky, -1)
     if scans is not base.kept:  # another fit to all scans: the difference is not the signal's alone
         kept[(kept != base.kept).any(axis=1)] = False
-    differences = np.empty((n_sky, *raw.shape), raw.dtype)
-    np.subtract(cleaned.data_mk.reshape(both.shape).transpose(1, 0, 2), base.data_mk, out=differences)
-    return kept, differences
+    differences = cleaned.data_mk.reshape(both.shape)
+    differences -= base.data_mk[:, None]
+    return kept, differences.transpose(1, 0, 2)
 
 
 def _repeated(auxiliary: AuxiliaryData, scans: np.ndarray, n_sky: int, first_guess: np.ndarray | None) -> AuxiliaryData:

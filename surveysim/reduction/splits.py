@@ -75,8 +75,7 @@ class SurveySplits:
     @property
     def night_parts(self) -> np.ndarray:
         """Parts (n_obs,) of the split by night that have the observations."""
-        n_part = len(self.of(NIGHT).parts)
-        return (self.night + self.night // n_part) % n_part
+        return _dealt(self.night, len(self.of(NIGHT).parts))
 
     def parts_of(
         self, split: Split, *, first_scan: int, n_scans: int, rows: np.ndarray
@@ -164,14 +163,24 @@ def _halves(plane: FocalPlane) -> np.ndarray:
     return half
 
 
+def _dealt(night: np.ndarray, n_part: int) -> np.ndarray:
+    """Parts (n_obs,) that the nights of observations are dealt to."""
+    return (night + night // n_part) % n_part
+
+
 def _check_parts(scene: Scene, found: SurveySplits) -> None:
     """Raise SceneError for a part with too few observations."""
-    count = np.bincount(found.night_parts, minlength=scene.spectra.parts)
-    if count.min() >= FEWEST_OBSERVATIONS:
+
+    def enough(n_part: int) -> bool:
+        return np.bincount(_dealt(found.night, n_part), minlength=n_part).min() >= FEWEST_OBSERVATIONS
+
+    if enough(scene.spectra.parts):
         return
     nights = plural(int(found.night[-1]) + 1, "night")
-    given = f" in {nights}" if found.dated else ""
+    given = plural(scene.observations, "observation") + (f" in {nights}" if found.dated else "")
+    most = max((n_part for n_part in range(2, scene.spectra.parts) if enough(n_part)), default=0)
+    expected = f"at most {most} parts are" if most else "a longer survey is"
     raise SceneError(
-        f"spectra.parts: found {scene.spectra.parts} with {plural(scene.observations, 'observation')}{given}; fewer"
-        f" parts are expected, each with {FEWEST_OBSERVATIONS} observations or more"
+        f"spectra.parts: found {scene.spectra.parts} with {given}; {expected} expected, with"
+        f" {FEWEST_OBSERVATIONS} observations or more in each"
     )

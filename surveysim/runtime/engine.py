@@ -109,7 +109,11 @@ def ordered_map(job: Callable[[Any], Any], items: Sequence[Any], engine: Engine)
 
 
 def unordered_map(
-    job: Callable[[Any], Any], items: Items, engine: Engine, large: LargeResults | None = None
+    job: Callable[[Any], Any],
+    items: Items,
+    engine: Engine,
+    large: LargeResults | None = None,
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> Generator[tuple[int, Any]]:
     """Yield the number of each item and ``job(item)``, as they are finished.
 
@@ -127,6 +131,8 @@ def unordered_map(
         Workers to use.
     large
         Results that a cluster keeps: a `Held` comes in their place, for as long as the generator is open.
+    meanwhile
+        Called once the first items are given to worker processes of this machine, which have yet to start.
 
     Raises
     ------
@@ -142,7 +148,7 @@ def unordered_map(
     elif (workers := engine.workers_for(items.left())) == 1:
         answers = in_turn(job, source)
     else:
-        answers = in_processes(job, source, workers)
+        answers = in_processes(job, source, workers, meanwhile)
     try:
         for number, result, error in answers:
             if error is None:

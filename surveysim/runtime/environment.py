@@ -24,7 +24,9 @@ _temporary_homes: list[str] = []
 # Scipy loads all parts of numpy. These take 0.1 s, and nothing here uses them.
 UNUSED = ("numpy.f2py", "numpy.testing")
 # Allocations between two searches for cycles, 700 by default: imports make many objects and hardly any cycles.
-COLLECT_EVERY = 50_000
+COLLECT_EVERY = 200_000
+# Numbers of threads of the libraries that numpy may multiply matrices with; they are read when it is imported.
+THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
 def settle() -> str | None:
@@ -32,6 +34,7 @@ def settle() -> str | None:
     open_streams()
     silence_libraries()
     postpone_unused()
+    limit_threads()
     forget_sizes()
     return provide_caches()
 
@@ -80,6 +83,12 @@ def postpone_unused() -> None:
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it reads the metadata of all packages for them
     if _OnUse not in sys.meta_path:
         sys.meta_path.insert(0, _OnUse)
+
+
+def limit_threads() -> None:
+    """Give matrix products one thread, unless the environment asks for more: they are small, and more threads spin."""
+    for name in THREADS:
+        os.environ.setdefault(name, "1")
 
 
 class _OnUse:

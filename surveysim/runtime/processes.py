@@ -1,14 +1,18 @@
 """Engine "processes": worker processes on this machine."""
 
 import multiprocessing
+import os
 import pickle
 import signal
+import socket
 from collections import Counter
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from multiprocessing import forkserver
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
+from queue import SimpleQueue
+from threading import Thread
 from typing import Any
 
 from threadpoolctl import threadpool_limits
@@ -17,6 +21,7 @@ from surveysim.runtime.environment import postpone_unused
 from surveysim.runtime.interrupt_signals import defer_signals, hide_main_module, ignore_sigint_in_children
 from surveysim.runtime.items import Answer, Items
 from surveysim.runtime.memory import keep_freed_memory
+from surveysim.runtime.messages import receive, send
 from surveysim.runtime.worker_loss import LOSSES_ALLOWED, log, too_many_losses
 
 TAKEN_AHEAD = 2  # items that wait at a worker, so that it does not wait for the parent
@@ -24,15 +29,15 @@ TAKEN_AHEAD = 2  # items that wait at a worker, so that it does not wait for the
 # share the modules that it has imported.
 METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 SHARED = "surveysim.survey.worker_imports"  # module of the imports that workers share
-ENDS_S = 1.0  # time for a process to end after its pipe is closed
+ENDS_S = 1.0  # time for a process to end after its channel is closed
 
 
 @dataclass
 class _Worker:
-    """Worker process, the parent's end of its pipe, and its unanswered items by number, in order."""
+    """Worker process, the parent's end of its channel, and its unanswered items by number, in order."""
 
     process: BaseProcess
-    pipe: Connection
+    channel: socket.socket
     has: dict[int, Any] = field(default_factory=dict)
 
 
@@ -44,25 +49,33 @@ def start_early() -> None:
             forkserver.ensure_running()
 
 
-def in_processes(job: Callable[[Any], Any], items: Items, workers: int) -> Generator[Answer]:
+def in_processes(
+    job: Callable[[Any], Any], items: Items, workers: int, meanwhile: Callable[[], None] = lambda: None
+) -> Generator[Answer]:
     """Yield the answer for each item from worker processes, as they come.
 
-    Items of a lost worker are repeated by a new one.
+    Items of a lost worker are repeated by a new one. `meanwhile` is called once the first items are given.
 
     Raises
     ------
     EngineError
         If workers are lost repeatedly with the same item.
     """
-    # A pipe a worker, and not an executor's shared queues: one that is killed while it holds a lock of the
+    # A channel a worker, and not an executor's shared queues: one that is killed while it holds a lock of the
     # queue, or halfway through a result, would leave the others and the parent waiting for ever.
     crew: list[_Worker] = []
     again: dict[int, Any] = {}
     losses: Counter[int] = Counter()
+
+    def give() -> None:
+        while _has_room(crew, workers) and (taken := _next(again, items, workers)) is not None:
+            _give(_least_busy(crew, job, workers), *taken)
+
     try:
+        give()
+        meanwhile()
         while True:
-            while _has_room(crew, workers) and (taken := _next(again, items, workers)) is not None:
-                _give(_least_busy(crew, job, workers), *taken)
+            give()
             if not any(worker.has for worker in crew):
                 return
             yield from _collect(crew)
@@ -71,7 +84,7 @@ def in_processes(job: Callable[[Any], Any], items: Items, workers: int) -> Gener
         for worker in crew:
             worker.process.kill()
             worker.process.join()
-            worker.pipe.close()
+            worker.channel.close()
 
 
 def _next(again: dict[int, Any], items: Items, workers: int) -> tuple[int, Any] | None:
@@ -99,23 +112,23 @@ def _least_busy(crew: list[_Worker], job: Callable[[Any], Any], workers: int) ->
 def _give(worker: _Worker, number: int, item: Any) -> None:
     worker.has[number] = item
     try:
-        worker.pipe.send((number, item))
+        send(worker.channel, (number, item))
     except OSError:  # it is gone, which shows when its answers are collected
         return
 
 
 def _collect(crew: list[_Worker]) -> list[Answer]:
-    """Wait for answers; close the pipes of lost workers."""
+    """Wait for answers; close the channels of lost workers."""
     found = []
-    waiting = {worker.pipe: worker for worker in crew if worker.has}
+    waiting = {worker.channel: worker for worker in crew if worker.has}
     ready: list[Any] = wait(list(waiting))
-    for pipe in ready:
+    for channel in ready:
         try:
-            answer: Answer = pipe.recv()
+            answer: Answer = receive(channel)
         except (EOFError, OSError):
-            pipe.close()
+            channel.close()
             continue
-        del waiting[pipe].has[answer[0]]
+        del waiting[channel].has[answer[0]]
         found.append(answer)
     return found
 
@@ -123,7 +136,7 @@ def _collect(crew: list[_Worker]) -> list[Answer]:
 def _of_the_lost(crew: list[_Worker], losses: Counter[int]) -> dict[int, Any]:
     """Remove lost workers from the crew and return their items by number."""
     found: dict[int, Any] = {}
-    for worker in [worker for worker in crew if worker.pipe.closed]:
+    for worker in [worker for worker in crew if worker.channel.fileno() < 0]:
         worker.process.join(ENDS_S)  # by itself, so that its exit code is its own
         worker.process.kill()
         worker.process.join()
@@ -141,7 +154,7 @@ def _start(job: Callable[[Any], Any]) -> _Worker:
     """Start a worker process."""
     start_early()
     context: Any = multiprocessing.get_context(METHOD)
-    ours, theirs = context.Pipe()
+    ours, theirs = socket.socketpair()
     process = context.Process(target=_work, args=(pickle.dumps(job), theirs), daemon=True)
     with ignore_sigint_in_children(), hide_main_module():
         process.start()
@@ -149,20 +162,31 @@ def _start(job: Callable[[Any], Any]) -> _Worker:
     return _Worker(process, ours)
 
 
-def _work(pickled_job: bytes, pipe: Connection) -> None:
-    """Answer items from the parent until its pipe closes."""
+def _work(pickled_job: bytes, channel: socket.socket) -> None:
+    """Answer items from the parent until its channel closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     postpone_unused()
     job: Callable[[Any], Any] = pickle.loads(pickled_job)
     threadpool_limits(1)
     keep_freed_memory()
+    answers = SimpleQueue[Answer]()
+    # The next item does not wait until the parent takes a large answer.
+    Thread(target=_send_all, args=(channel, answers), daemon=True).start()
     try:
         while True:
-            number, item = pipe.recv()
+            number, item = receive(channel)
             try:
-                answer: Answer = (number, job(item), None)
+                answers.put((number, job(item), None))
             except Exception as error:  # whatever it is, the parent decides
-                answer = (number, None, error)
-            pipe.send(answer)
+                answers.put((number, None, error))
     except (EOFError, OSError):
         return
+
+
+def _send_all(channel: socket.socket, answers: "SimpleQueue[Answer]") -> None:
+    """Send answers as they come; the process ends with the first that can't be sent, which the parent notices."""
+    try:
+        while True:
+            send(channel, answers.get())
+    finally:
+        os._exit(1)

@@ -84,7 +84,7 @@ def unknown_key(key: str, scene: type[BaseModel], hidden: Collection[str] = ()) 
 def _line(item: Any, scene: type[BaseModel]) -> str:
     key = key_text(".".join(str(part) for part in item["loc"] if not is_tag(part)))
     message = item["msg"].removeprefix("Value error, ")
-    if item["type"] == "value_error" and (match := re.match(r"([a-z_0-9]+): ", message)) and key:
+    if item["type"] == "value_error" and (match := re.match(r"([a-z_0-9]+(?:\.[a-z_0-9]+)*): ", message)) and key:
         # A check of a whole section names the key that it is about.
         key, message = f"{key}.{match[1]}", message[match.end() :]
     if item["type"] == "extra_forbidden":

@@ -9,7 +9,6 @@ from functools import cache
 from typing import Any
 
 from surveysim.scene.bands import TABLE
-from surveysim.scene.fields import FILE
 from surveysim.scene.scene import Scene
 from surveysim.scene.shipped import shipped_folder
 from surveysim.scene.unions import CHOOSING_KEYS
@@ -78,11 +77,6 @@ def all_keys() -> dict[str, dict[str, Any]]:
         for name, item in section_keys(section).items():
             found.setdefault(f"{section.name}.{name}".lstrip("."), item)
     return found
-
-
-def file_keys() -> tuple[str, ...]:
-    """Return the dotted names of all keys whose value can be the name of a file."""
-    return tuple(key for key, item in all_keys().items() if item.get("format") == FILE)
 
 
 def section_keys(section: SceneSection) -> dict[str, dict[str, Any]]:

@@ -71,7 +71,7 @@ def check_layers(layers: tuple[Layer, ...], index: float, outer_scale_m: float |
     if not abs(total - 1) <= _ROUNDING:
         raise ValueError(f"layers: found shares that sum to {total:.7g}; 1 is expected")
     for place, layer in enumerate(layers):
-        where = f"layers[{place}]"
+        where = f"layers.{place}"
         if layer.name in names[:place]:
             raise ValueError(f"{where}.name: found {layer.name!r} twice; different names are expected")
         if layer.height_m < aperture_m:

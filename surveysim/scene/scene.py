@@ -170,7 +170,7 @@ class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSectio
         for number, line in enumerate(self.lines):
             if line.frequency_hz > self.scan.sample_rate_hz / 2:
                 raise ValueError(
-                    f"lines[{number}].frequency: found {line.frequency_hz:g} Hz; half of scan.sample_rate,"
+                    f"lines.{number}.frequency: found {line.frequency_hz:g} Hz; half of scan.sample_rate,"
                     f" {self.scan.sample_rate_hz / 2:g} Hz, or less is expected"
                 )
         if self.glitches and self.glitches.decay_time_s > self.scan.duration_s:

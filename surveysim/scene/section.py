@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, field_validator
+from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, field_validator
+from pydantic_core import CoreSchema
 
 from surveysim.scene.units import shown
 
@@ -18,7 +19,6 @@ class Section(BaseModel):
         extra="forbid",
         populate_by_name=False,
         strict=False,
-        use_attribute_docstrings=True,
         defer_build=True,
     )
 
@@ -28,6 +28,19 @@ class Section(BaseModel):
         if isinstance(value, bool):
             raise ValueError(f"found {str(value).lower()}; no key of a scene is true or false")
         return value
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Describe fields by their docstrings."""
+        from surveysim.scene.field_docs import field_docs
+
+        schema = handler(core_schema)
+        keys, docs = handler.resolve_ref_schema(schema)["properties"], field_docs(cls)
+        for name, field in cls.model_fields.items():
+            key = field.alias or name
+            if key in keys and name in docs:
+                keys[key]["description"] = docs[name]
+        return schema
 
 
 def check_quantiles(name: str, probabilities: tuple[float, ...], values: tuple[float, ...]) -> None:

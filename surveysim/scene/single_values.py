@@ -1,7 +1,7 @@
 """Check of a value of one key of a scene, without the rest of the scene."""
 
 from functools import cache
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -27,14 +27,16 @@ def wrong_value(key: str, value: Any) -> str:
 
 @cache
 def _adapters(key: str) -> tuple[Any, ...]:
-    """Types of a key: several where a section has several classes."""
+    """Types of a key: several where a section has several classes, but one for the names that choose among them."""
     *sections, last = key.split(".")
-    found = []
+    found: list[Any] = []
     for section in sections_of(sections, Scene):
         for name, field in section.model_fields.items():
             if (field.alias or name) == last:
                 kind: Any = field.annotation
                 for item in field.metadata:
                     kind = Annotated[kind, item]
-                found.append(TypeAdapter(kind))
-    return tuple(found)
+                found.append(kind)
+    if found and all(get_origin(kind) is Literal for kind in found):
+        found = [Literal[tuple(name for kind in found for name in get_args(kind))]]
+    return tuple(map(TypeAdapter, found))

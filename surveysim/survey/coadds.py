@@ -59,15 +59,15 @@ class CoAdds:
     sums, weight, hits : (n_set, n_y, n_x)
         Sums of w S, w H and H.
     flipped : (K, n_set, n, n)
-        Sums with random signs on the scored patch, or the whole map before it is solved for; (0, n_set, n, n) of one
-        observation alone, where they follow from `sums`.
+        Sums with random signs on the scored patch, or the whole map before it is solved for, of the type of the
+        streams: nearly all of the memory. (0, n_set, n, n) of one observation alone, where they follow from `sums`.
     signal_maps : (n_sky, n_transfer, 2, n, n)
         Signal simulations on the same pixels.
     signal_weight : (n_transfer, n, n)
     split_sums, split_weight : (n_map, n, n)
         Sums of w S and w H of the actual data in each part of the splits, on the patch; no maps without splits.
     split_flipped : (n_map, K, 2, n, n)
-        Both with random signs of the observations (`split_signs`); K is 0 for one observation alone.
+        Both with random signs of the observations (`split_signs`), of the same type; K is 0 for one observation alone.
     rows
         One tuple per observation (`row_names`).
     bin_noise : (n_obs, n_set, n_bin)
@@ -185,13 +185,14 @@ def _empty_patches(analysis: AnalysisSetup, flips: bool) -> dict[str, Any]:
         n = len(range(analysis.geometry.n_y)[analysis.sums_patch])
     if analysis.splits:
         n_split, n_split_flip = analysis.splits.n_map, analysis.scene.spectra.realizations * flips
+    kind = analysis.scene.numerics.precision
     return {
-        "flipped": np.zeros((n_flip, n_set, n, n)),
+        "flipped": np.zeros((n_flip, n_set, n, n), kind),
         "signal_maps": np.zeros((n_sky, n_transfer, 2, n, n)),
         "signal_weight": np.zeros((n_transfer, n, n)),
         "split_sums": np.zeros((n_split, n, n)),
         "split_weight": np.zeros((n_split, n, n)),
-        "split_flipped": np.zeros((n_split, n_split_flip, 2, n, n)),
+        "split_flipped": np.zeros((n_split, n_split_flip, 2, n, n), kind),
     }
 
 
@@ -259,8 +260,7 @@ def add_observations(analysis: AnalysisSetup, coadds: CoAdds, observations: Sequ
     signs = np.stack([jackknife_signs(analysis.scene, item.first) for item in observations], axis=1)
     # All that could fail for want of memory comes before the first sum: none is left half done.
     patches = np.stack([item.sums[:, patch, patch] for item in observations])
-    if len(signs):
-        add_signed(coadds.flipped, patches, signs)
+    _flip(coadds.flipped, patches, signs)
     for item in observations:
         _flip_splits(analysis.scene, coadds, item)
         _add_arrays(coadds, item)
@@ -294,6 +294,13 @@ def _add_arrays(coadds: CoAdds, later: CoAdds) -> None:
     coadds.split_weight += later.split_weight
 
 
+def _flip(flipped: np.ndarray, values: np.ndarray, signs: np.ndarray) -> None:
+    """Add `signs[k, b] * values[b]` to `flipped[k]` for each b in turn, in place, all of the type of `flipped`."""
+    if flipped.size:
+        kind, n_flip, n = flipped.dtype, len(flipped), len(values)
+        add_signed(flipped.reshape(n_flip, -1), values.reshape(n, -1).astype(kind), signs.astype(kind))
+
+
 def _flip_splits(scene: Scene, coadds: CoAdds, item: CoAdds) -> None:
     """Add the split maps of one observation with random signs, in place."""
     if not len(item.split_sums):
@@ -301,7 +308,7 @@ def _flip_splits(scene: Scene, coadds: CoAdds, item: CoAdds) -> None:
     signs = split_signs(scene, item.first)[:, None]
     for number in np.flatnonzero(item.split_weight.any(axis=(1, 2))):  # one part of the split by night has it
         maps = np.stack([item.split_sums[number], item.split_weight[number]])[None]
-        add_signed(coadds.split_flipped[number], maps, signs)
+        _flip(coadds.split_flipped[number], maps, signs)
 
 
 def _add_lists(coadds: CoAdds, later: CoAdds) -> None:

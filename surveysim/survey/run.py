@@ -13,7 +13,7 @@ import numpy as np
 from surveysim.reduction.noise_weights import weights_file
 from surveysim.reduction.observation import observe
 from surveysim.reduction.resource_limits import LARGE_SUMS
-from surveysim.reduction.setup import Setup, prepare, signal_sim_observations
+from surveysim.reduction.setup import Setup, prepare, signal_sim_observations, work_s
 from surveysim.runtime.engine import SERIAL, Engine, EngineError, defer_signals, unordered_map
 from surveysim.runtime.errors import InputError
 from surveysim.scene.scene import Scene
@@ -116,6 +116,7 @@ def run_observations(
     progress: Callable[[CoAddTree], None] = lambda sums: None,
     stops: Callable[[CoAddTree], bool] | None = None,
     solving: Solving = lambda name, iteration: None,
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> CoAdds:
     """Run the observations of a scene in parallel and add them up; the bits do not depend on the engine.
 
@@ -141,6 +142,8 @@ def run_observations(
         Called before the first observation and after each: whether to end the run.
     solving
         Called before each iteration of the solution.
+    meanwhile
+        Called once while worker processes of this machine start.
 
     Raises
     ------
@@ -150,7 +153,8 @@ def run_observations(
     if setup.scene.map.maker == "iterative":
         if stops is not None:
             raise InputError("map.maker: found 'iterative' with a limit; it runs whole passes over the survey")
-        run = partial(_run_all, engine=engine, folders=(timestream_dir, None), progress=progress, stops=None)
+        folders = timestream_dir, None
+        run = partial(_run_all, engine=engine, folders=folders, progress=progress, stops=None, meanwhile=meanwhile)
         return _run_passes(setup, checkpoint, run, nodes=nodes, resume=resume, solving=solving)
     with _weights_folder(setup, checkpoint, engine) as weights_dir:
         coadds = _run_all(
@@ -162,6 +166,7 @@ def run_observations(
             folders=(timestream_dir, weights_dir),
             progress=progress,
             stops=stops,
+            meanwhile=meanwhile,
         )
         return coadds if weights_dir is None else solved_coadds(setup, coadds, weights_dir, engine, solving)
 
@@ -223,6 +228,7 @@ def _run_all(
     folders: tuple[Path | None, Path | None],
     progress: Callable[[CoAddTree], None],
     stops: Callable[[CoAddTree], bool] | None,
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> CoAdds:
     """Run and add up the observations; `folders` are those of time-streams and noise weights."""
     sums = CoAddTree(setup, nodes)
@@ -231,7 +237,9 @@ def _run_all(
     keeper = _CheckpointWriter(checkpoint, setup, sums.finished)
     if stops is None or not stops(sums):
         try:
-            _run_missing(setup, sums, keeper, engine, folders=folders, progress=progress, stops=stops)
+            _run_missing(
+                setup, sums, keeper, engine, folders=folders, progress=progress, stops=stops, meanwhile=meanwhile
+            )
         except BaseException:
             if sums.finished > keeper.finished:  # an earlier checkpoint may have sums of a cluster that is gone
                 keeper.save(sums)
@@ -253,6 +261,7 @@ def _run_missing(
     folders: tuple[Path | None, Path | None],
     progress: Callable[[CoAddTree], None],
     stops: Callable[[CoAddTree], bool] | None,
+    meanwhile: Callable[[], None],
 ) -> None:
     """Run the observations that the sums do not have, until all are done or the run is to stop."""
     missing = sums.missing()
@@ -260,12 +269,13 @@ def _run_missing(
     # still join a cluster.
     alone = engine.kind != "dask" and engine.workers_for(len(missing)) == 1
     single = stops is not None or alone or node_bytes(setup) > LARGE_SUMS
-    spans = Spans(missing, single=single)
+    n_obs = setup.scene.observations
+    spans = Spans(missing, single=single, each_s=work_s(setup, n_obs) / n_obs)
     # Workers elsewhere may have another working directory.
     streams, weights = (None if folder is None else folder.absolute() for folder in folders)
     angles = setup.observing.angles if missing and engine.kind == "processes" else None
     job = SpanJob(setup.scene, streams, angles, weights, setup.bright_sky_mk)
-    results = unordered_map(job, spans, engine, SUMS_OF_SPANS)
+    results = unordered_map(job, spans, engine, SUMS_OF_SPANS, meanwhile)
     try:
         for _, result in results:
             node = node_of(result)

@@ -28,11 +28,13 @@ class Spans:
         Numbers of the observations, in order.
     single
         Whether to hand out one observation at a time.
+    each_s
+        Estimate of the time of an observation [s]; None for none. Spans have at most one leaf until the first is timed.
     """
 
-    def __init__(self, missing: list[int], *, single: bool) -> None:
+    def __init__(self, missing: list[int], *, single: bool, each_s: float | None = None) -> None:
         self._missing, self._single = missing[::-1], single
-        self._each_s: float | None = None
+        self._each_s, self._is_timed = each_s, False
         self._untimed = 0
 
     def left(self) -> int:
@@ -43,7 +45,7 @@ class Spans:
         """Hand out the next span, keyed by its first observation; None if none is left, or no time is known yet."""
         if not self._missing or (self._untimed >= _UNTIMED and not self._single):
             return None
-        if self._each_s is None:
+        if not self._is_timed:
             self._untimed += 1
         first = self._missing[-1]
         size = self._size(first, workers)
@@ -52,7 +54,7 @@ class Spans:
 
     def measured(self, each_s: float) -> None:
         """Note the time that an observation took [s]."""
-        self._each_s, self._untimed = each_s, 0
+        self._each_s, self._is_timed, self._untimed = each_s, True, 0
 
     def _size(self, first: int, workers: int) -> int:
         """Find the largest node that starts with an observation, is missing as a whole and takes neither too long nor
@@ -63,7 +65,7 @@ class Spans:
         if most < LEAF or not self._is_whole(first, LEAF) or (workers <= _FEW_WORKERS and left < LEAF * workers):
             return 1
         size = LEAF
-        while 2 * size <= min(most, left / (_SHARES * workers)) and self._is_whole(first, 2 * size):
+        while self._is_timed and 2 * size <= min(most, left / (_SHARES * workers)) and self._is_whole(first, 2 * size):
             size *= 2
         return size
 

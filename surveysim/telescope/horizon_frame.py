@@ -8,6 +8,7 @@ time, the observer's velocity is so between nodes. Directions within 15 degrees 
 
 import math
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -134,10 +135,15 @@ class _Seen:
             latitude_rad=float(np.arctan2(seen["sphi"][0], seen["cphi"][0])),
         )
 
+    @cached_property
+    def turn(self) -> tuple[np.ndarray, np.ndarray]:
+        """Cosine and sine (n,) of the rotation."""
+        return np.cos(self.rotation_rad), np.sin(self.rotation_rad)
+
     def turned_to_horizon(self, vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rotate vectors (3, n) to the axes north, east and up."""
         x, y, z = self.of_date @ vectors + self.of_date_rate @ (vectors * self.time_s)
-        cos, sin = np.cos(self.rotation_rad), np.sin(self.rotation_rad)
+        cos, sin = self.turn
         out, east = x * cos + y * sin, y * cos - x * sin  # `out` along the meridian's point of the equator
         cos_lat, sin_lat = math.cos(self.latitude_rad), math.sin(self.latitude_rad)
         return cos_lat * z - sin_lat * out, east, cos_lat * out + sin_lat * z
@@ -146,7 +152,7 @@ class _Seen:
         """Rotate vectors from the axes north, east and up, (3, n)."""
         cos_lat, sin_lat = math.cos(self.latitude_rad), math.sin(self.latitude_rad)
         out, z = cos_lat * up - sin_lat * north, cos_lat * north + sin_lat * up
-        cos, sin = np.cos(self.rotation_rad), np.sin(self.rotation_rad)
+        cos, sin = self.turn
         vectors = np.stack([out * cos - east * sin, out * sin + east * cos, z])
         return self.of_date.T @ vectors + self.of_date_rate.T @ (vectors * self.time_s)
 
@@ -164,6 +170,7 @@ def _field_axes(field: FieldCentre) -> np.ndarray:
     )
 
 
+@lru_cache(maxsize=2)  # for every observation
 def _tangent(field: FieldCentre) -> MapGeometry:
     """Tangent plane of a field, for angles in it."""
     return MapGeometry(field.ra_rad, field.dec_rad, 1.0, 1, 1)

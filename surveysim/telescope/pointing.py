@@ -3,10 +3,11 @@
 import math
 from dataclasses import dataclass, replace
 from datetime import date
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
+from mapmaker.timestreams import scan_bounds
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.telescope.directions import FieldCentre, Site, horizontal, hour_angle_dec
 from surveysim.telescope.horizon_frame import HorizonFrame, to_horizon
@@ -88,8 +89,15 @@ class Pointing:
     straight: bool
     flagged: np.ndarray | None = None
 
+    @cached_property
+    def scan_bounds(self) -> np.ndarray:
+        """First and one-past-last sample of each scan, (n_scan, 2)."""
+        return scan_bounds(self.scan)
+
     def scans(self, first: int, end: int) -> "Pointing":
-        """Select scans `first` to `end - 1`, renumbered from 0."""
+        """Select scans `first` to `end - 1`, renumbered from 0; the pointing itself for all of them."""
+        if end - first == len(self.scan_elevation_rad):
+            return self
         inside = (self.scan >= first) & (self.scan < end)
         return replace(
             self,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mapmaker.geometry import sky_offsets
-from mapmaker.timestreams import FocalPlane, scan_bounds
+from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.layers import Layer
 from surveysim.atmosphere.weather import Weather, slant_b2
 from surveysim.runtime.rng import RandomPurpose
@@ -71,16 +71,16 @@ def add_realization(data: np.ndarray, of: LayerScans, item: LayerRealization, bl
     """Add one realization of a layer to the streams of a block."""
     from surveysim.atmosphere.scan_trends import draw_trends
 
-    drawn = slice(item.begin, item.stop)
-    trends = draw_trends(of.points.scans(item.first, item.end), item.numbers.deviates(RandomPurpose.TREND))
+    drawn = slice(block.first, block.end)
+    trends = draw_trends(of.points, item.numbers.deviates(RandomPurpose.TREND))
     amplitude, mixed = of.amplitude_mk[drawn], item.weight is not None
     of.add(
         data,
         of.bounds[drawn] - of.bounds[block.first, 0],
-        tracks=of.tracks.scans(item.begin, item.stop),
+        tracks=of.tracks.scans(block.first, block.end),
         amplitude_mk=amplitude.reshape(len(amplitude), -1) * item.weight if mixed else amplitude,
         deviates=item.numbers.deviates(RandomPurpose.ATMOSPHERE, block.number),
-        trends=trends.scans(item.begin - item.first, item.stop - item.first),
+        trends=trends.scans(block.first, block.end),
         mean_removed=mixed,
     )
 
@@ -93,7 +93,7 @@ def straight_scans(
 
     sine = np.sin(pointing.scan_elevation_rad)
     strips = layer.strips.at(float(sine.min()))
-    bounds, rate = scan_bounds(pointing.scan), setup.observing.scans.sample_rate_hz
+    bounds, rate = pointing.scan_bounds, setup.observing.scans.sample_rate_hz
     motion = _layer_motion(setup, pointing, wind_rad_s)
     tracks = scan_tracks(bounds, sample_rate_hz=rate, **motion, strips=strips)
     points = _strip_points(pointing, bounds, motion["layer_velocity_rad_s"], tracks=tracks, strips=strips)

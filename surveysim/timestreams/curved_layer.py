@@ -5,7 +5,6 @@ from functools import partial
 import numpy as np
 
 from mapmaker.geometry import sky_offsets
-from mapmaker.timestreams import scan_bounds
 from surveysim.atmosphere.layers import Layer
 from surveysim.telescope.pointing import Pointing
 from surveysim.timestreams.layer_views import AzElVector, LayerScans, mean_azimuth, moved
@@ -19,7 +18,7 @@ def curved_scans(
     from surveysim.atmosphere.curved_tracks import add_along_curves, curved_tracks, horizon_vector, layer_positions
     from surveysim.atmosphere.scan_trends import strip_points
 
-    bounds = scan_bounds(pointing.scan)
+    bounds = pointing.scan_bounds
     azimuth, elevation, time_s = (
         values.reshape(len(bounds), -1) for values in (pointing.azimuth_rad, pointing.elevation_rad, pointing.time_s)
     )

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mapmaker.timestreams import scan_bounds
-from surveysim.atmosphere.evolution import Evolution
+from surveysim.atmosphere.evolution import draw_evolution
 from surveysim.atmosphere.layers import Layer
 from surveysim.atmosphere.weather import Weather
 from surveysim.runtime.rng import NormalDeviates, RandomPurpose, generator, normal_deviates
@@ -40,11 +39,9 @@ class LayerNumbers:
             self.seed, purpose, self.observation, realization=self.realization, block=block, part=self.part
         )
 
-    def share(self, purpose: RandomPurpose) -> float:
-        """Draw a number from 0 to 1."""
-        return float(
-            generator(self.seed, purpose, self.observation, realization=self.realization, part=self.part).random()
-        )
+    def generator(self, purpose: RandomPurpose) -> np.random.Generator:
+        """Make the generator of one purpose."""
+        return generator(self.seed, purpose, self.observation, realization=self.realization, part=self.part)
 
 
 @dataclass(frozen=True)
@@ -80,19 +77,11 @@ class LayerRealization:
     ----------
     numbers
         Its random numbers.
-    first, end
-        Scans of the observation that see it, and share its trends.
-    begin, stop
-        Those of them that are in the block that is drawn.
     weight : (n_scan, n)
-        Weights in the samples of these; None for a frozen layer.
+        Weights in the samples of a block; None for a frozen layer.
     """
 
     numbers: LayerNumbers
-    first: int
-    end: int
-    begin: int
-    stop: int
     weight: np.ndarray | None = None
 
 
@@ -102,7 +91,7 @@ def layer_wind(layer: Layer, weather: Weather, pointing: Pointing, numbers: Laye
     drift = layer.section.wind_drift
     if drift is None:
         return speed * math.cos(angle), speed * math.sin(angle)
-    bounds = scan_bounds(pointing.scan)
+    bounds = pointing.scan_bounds
     middle = (pointing.time_s[bounds[:, 0]] + pointing.time_s[bounds[:, 1] - 1]) / 2
     process = smooth_process(2, middle[-1], drift.time_scale_s, numbers.deviates(RandomPurpose.WIND_DRIFT))
     faster, turned = process.at(middle)
@@ -113,21 +102,22 @@ def layer_wind(layer: Layer, weather: Weather, pointing: Pointing, numbers: Laye
 def layer_realizations(
     layer: Layer, pointing: Pointing, block: Block, numbers: LayerNumbers
 ) -> Iterator[LayerRealization]:
-    """Yield the realizations of a layer in a block: one of a frozen layer.
-
-    Their scans follow from the observation, whatever its blocks.
-    """
-    bounds, time_s, seconds = scan_bounds(pointing.scan), pointing.time_s, layer.section.decorrelation_time_s
+    """Yield the realizations of a layer in a block: one of a frozen layer."""
+    seconds = layer.section.decorrelation_time_s
     if seconds is None:
-        yield LayerRealization(numbers, 0, len(bounds), block.first, block.end)
+        yield LayerRealization(numbers)
         return
-    evolution = Evolution(seconds, numbers.share(RandomPurpose.EVOLUTION))
-    for number, first, end in evolution.realizations(time_s[bounds[:, 0]], time_s[bounds[:, 1] - 1]):
-        begin, stop = max(first, block.first), min(end, block.end)
-        if begin < stop:
-            times = time_s[bounds[begin, 0] : bounds[stop - 1, 1]].reshape(stop - begin, -1)
-            own = replace(numbers, part=f"{layer.part} realization {number}")
-            yield LayerRealization(own, first, end, begin, stop, evolution.weight(number, times))
+    bounds, time_s = pointing.scan_bounds, pointing.time_s
+    evolution = draw_evolution(
+        seconds,
+        scan_s=float(time_s[bounds[0, 1] - 1] - time_s[0]),
+        end_s=float(time_s[-1]),
+        rng=numbers.generator(RandomPurpose.EVOLUTION),
+    )
+    times = time_s[bounds[block.first, 0] : bounds[block.end - 1, 1]].reshape(block.end - block.first, -1)
+    for number in range(evolution.count):
+        own = replace(numbers, part=f"{layer.part} realization {number}")
+        yield LayerRealization(own, evolution.weight(number, times))
 
 
 def mean_azimuth(pointing: Pointing) -> float:

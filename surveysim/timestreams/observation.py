@@ -9,9 +9,9 @@ from time import perf_counter
 import numpy as np
 
 from mapmaker.geometry import north_angle, plane_directions
-from mapmaker.kernels.compiled import compile_s, compile_timer
+from mapmaker.kernels.compiled import compile_s
 from mapmaker.lost_samples import fill_flagged
-from mapmaker.timestreams import FocalPlane, Timestreams, scan_bounds
+from mapmaker.timestreams import FocalPlane, Timestreams
 from surveysim.atmosphere.layers import dominant_layer, dominant_wind
 from surveysim.scene.scene import Scene, survey_hash
 from surveysim.telescope.pointing import Pointing
@@ -32,13 +32,12 @@ class Stopwatch:
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
         """Add the time of the block to `stage`."""
-        start = perf_counter()
-        with compile_timer() as timer:
-            try:
-                yield
-            finally:
-                spent = perf_counter() - start - compile_s(timer)
-                self.seconds[stage] = self.seconds.get(stage, 0.0) + spent
+        compiled, start = compile_s(), perf_counter()
+        try:
+            yield
+        finally:
+            spent = perf_counter() - start - (compile_s() - compiled)
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + spent
 
 
 def draw_observation(setup: Simulation, observation: int) -> Timestreams:
@@ -79,7 +78,7 @@ class DrawnBlock:
     @cached_property
     def scan_bounds(self) -> np.ndarray:
         """First and one-past-last sample of each scan, (n_scan, 2)."""
-        return scan_bounds(self.of.pointing.scan)
+        return self.of.pointing.scan_bounds
 
     @cached_property
     def lost_scans(self) -> np.ndarray:

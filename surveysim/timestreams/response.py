@@ -179,7 +179,8 @@ def draws_parts(of: ObservedBlock) -> bool:
 def write_sky_signal(setup: Simulation, pointing: Pointing, sky_mk: np.ndarray, out_mk: np.ndarray) -> None:
     """Write the signal of a sky at the assumed pointing, times the responsivities, to streams (n_det, n_samp).
 
-    The look-up multiplies by the responsivity before it rounds to the type of the streams.
+    Several skies (n_sky, ...) are written to as many streams (n_sky, n_det, n_samp). The look-up multiplies by the
+    responsivity before it rounds to the type of the streams.
     """
     out_mk[:] = 0
     add_seen_sky(setup, pointing, sky_mk, out_mk, setup.camera.responsivity)

@@ -48,7 +48,7 @@ def uses_table_groups(scene: Scene) -> bool:
 def _sections_by_group(scene: Scene) -> dict[str, Shared | GroupRedNoise]:
     """Sections, by name, of what the detectors of a readout group share."""
     sections: dict[str, Shared | GroupRedNoise] = {
-        f"lines[{number}]": line for number, line in enumerate(scene.lines) if line.shared == "group"
+        f"lines.{number}": line for number, line in enumerate(scene.lines) if line.shared == "group"
     }
     if scene.readout_noise and scene.readout_noise.group:
         sections["readout_noise.group"] = scene.readout_noise.group

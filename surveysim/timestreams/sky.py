@@ -31,6 +31,8 @@ def add_seen_sky(
 ) -> None:
     """Add a sky, times the gain (n_det,) of each detector, to streams (n_det, n_samp), in place.
 
+    Several skies (n_sky, ...) are added to as many streams (n_sky, n_det, n_samp).
+
     Parameters
     ----------
     plane
@@ -43,21 +45,23 @@ def add_seen_sky(
     ValueError
         For streams or gains of other samples or detectors than those of the pointing and the camera.
     """
-    from mapmaker.kernels.pixels import add_sky
+    from mapmaker.kernels.pixels import add_skies
 
     grid, plane = setup.sky.geometry, plane or setup.camera.focal_plane
     n_det, n_samp = len(plane.x_rad), len(pointing.xi_rad)
-    if data_mk.shape != (n_det, n_samp) or gain.shape != (n_det,):
+    if data_mk.shape[-2:] != (n_det, n_samp) or gain.shape != (n_det,):
         raise OutOfRangeError(
             f"found streams {data_mk.shape}, gains {gain.shape}; ({n_det}, {n_samp}), ({n_det},) are expected"
         )
     track = pixel_homography(grid, pointing.xi_rad, pointing.eta_rad, pointing.array_angle_rad, first=-0.5)
     gain = gain.astype(data_mk.dtype)
-    if len(skies := sky_mk.reshape(-1, grid.n_y, grid.n_x)) == 1:
-        add_sky(data_mk, skies[0], track, plane.x_rad, plane.y_rad, gain)
+    streams = data_mk if data_mk.ndim == 3 else data_mk[None]
+    skies = sky_mk.reshape(len(streams), -1, grid.n_y, grid.n_x)
+    if skies.shape[1] == 1:
+        add_skies(streams, skies[:, 0], track, plane.x_rad, plane.y_rad, gain)
         return
-    for number, sky in enumerate(skies):
+    for number in range(skies.shape[1]):
         rows = np.flatnonzero(setup.camera.beams.of_detector == number)
-        part = data_mk[rows]
-        add_sky(part, sky, track, plane.x_rad[rows], plane.y_rad[rows], gain[rows])
-        data_mk[rows] = part
+        part, through = streams[:, rows], np.ascontiguousarray(skies[:, number])
+        add_skies(part, through, track, plane.x_rad[rows], plane.y_rad[rows], gain[rows])
+        streams[:, rows] = part

@@ -3,6 +3,7 @@
 Monte Carlo tolerances are 4.5 standard deviations.
 """
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from mapmaker.geometry import sky_offsets
-from surveysim.atmosphere.evolution import Evolution, evolution_correlation
+from surveysim.atmosphere.evolution import Evolution, draw_evolution, evolution_correlation
 from surveysim.atmosphere.thin_screen import cross_psd, structure_function
 from surveysim.atmosphere.weather import Weather
 from surveysim.reduction.setup import prepare
@@ -118,30 +119,32 @@ def test_cross_spectra_of_two_layers(air):
 # ---------------------------------------------------------------- evolution
 
 
-def test_weights_and_their_correlation():
-    """Squares of the weights add to one; the mean of products over the phase is the closed form."""
-    time = np.linspace(0, 50, 501)
-    phases = (np.arange(400) + 0.5) / 400
+@pytest.mark.parametrize("count", [2, 3])
+def test_weights_and_their_correlation(count):
+    """Squares of the weights add to one; the mean of products over phases and all signs is the closed form."""
+    time, phases = np.linspace(0, 21, 106), (np.arange(40) + 0.5) / 40
+    signs = np.array(list(itertools.product([-1.0, 1.0], repeat=5)))
     total = np.zeros_like(time)
-    for phase in phases:
-        evolution = Evolution(7.0, float(phase))
-        weights = np.array([evolution.weight(number, time) for number in range(10)])
+    for phase, sign in itertools.product(phases, signs):
+        evolution = Evolution(7.0, count, float(phase), sign)
+        weights = np.array([evolution.weight(number, time) for number in range(count)])
         np.testing.assert_allclose((weights**2).sum(axis=0), 1, rtol=1e-12)
-        total += weights[:, 0] @ weights / len(phases)
-    np.testing.assert_allclose(total, evolution_correlation(time, 7.0), atol=1e-5)
+        total += weights[:, 0] @ weights / (len(phases) * len(signs))
+    np.testing.assert_allclose(total, evolution_correlation(time, 7.0), atol=2e-4)
     assert evolution_correlation(np.array([0.0, 7.0, 14.0, 20.0]), 7.0) == pytest.approx(
         [1, 1 / np.pi, 0, 0], abs=1e-15
     )
 
 
-def test_realizations_cover_the_scans_that_they_weigh():
-    start, end = np.arange(20) * 5.0, np.arange(20) * 5.0 + 4
-    evolution = Evolution(11.0, 0.3)
-    seen = list(evolution.realizations(start, end))
-    for number, first, stop in seen:
-        inside = [evolution.weight(number, np.linspace(*pair, 9)).any() for pair in zip(start, end, strict=True)]
-        assert np.flatnonzero(inside).tolist() == list(range(first, stop))
-    assert sorted({scan for _, first, stop in seen for scan in range(first, stop)}) == list(range(20))
+@pytest.mark.parametrize(("seconds", "count"), [(60.0, 2), (5.0, 2), (2.0, 4), (0.5, 11)])
+def test_realizations_are_as_many_as_a_scan_sees(seconds, count):
+    """Weights are smooth in time, and signs reach to the end of the observation."""
+    evolution = draw_evolution(seconds, scan_s=5.0, end_s=300.0, rng=np.random.default_rng(3))
+    assert evolution.count == count and set(evolution.signs) <= {-1.0, 1.0}
+    time = np.linspace(0, 300, 60_001)
+    for number in range(count):
+        weight = evolution.weight(number, time)
+        assert np.abs(np.diff(weight)).max() < 0.5 * np.pi * time[1] / seconds * (1 + 1e-6)
 
 
 @pytest.mark.slow
@@ -214,7 +217,7 @@ def test_a_realization_with_a_weight_of_one_is_the_layer(air, tmp_path, pattern)
     scans_of = straight_scans if pointing.straight else curved_scans
     of = scans_of(layer, setup, pointing, layer_wind(layer, WEATHER, pointing, numbers), b2=WEATHER.b2)
     frozen, mixed = np.zeros((2, setup.camera.n_det, len(pointing.time_s)))
-    item = LayerRealization(numbers, 0, n_scans, 0, n_scans)
+    item = LayerRealization(numbers)
     add_realization(frozen, of, item, block)
     add_realization(mixed, of, replace(item, weight=np.ones((n_scans, len(pointing.time_s) // n_scans))), block)
     difference = (frozen - mixed).reshape(setup.camera.n_det, n_scans, -1)

@@ -11,7 +11,7 @@ import pytest
 from scipy.special import eval_legendre
 
 from mapmaker.geometry import MapGeometry, pixel_centres, plane_directions, wcs
-from mapmaker.kernels.pixels import add_sky
+from mapmaker.kernels.pixels import add_skies
 from mapmaker.spectrum import annuli, coupled_psd, map_psd, mode_ell, mode_psd, ring_mean, tukey_taper
 from mapmaker.transfer_function import beam_window
 from surveysim.reduction.setup import prepare
@@ -190,7 +190,7 @@ def test_sky_of_a_scene():
 
 @pytest.mark.parametrize(("phase", "allowed"), [(0.3, 1e-4), (0.6, 2e-4), (np.pi / 4, 1e-3), (np.pi / 2, 0.04)])
 def test_looked_up_waves_keep_their_power(phase, allowed):
-    """Waves with a phase from cell to cell, along one axis and oblique, read at random places through `add_sky`.
+    """Waves with a phase from cell to cell, along one axis and oblique, read at random places through `add_skies`.
 
     Their power is the square of the projection of what is read on the wave itself; without sharpening, a wave at the
     map's Nyquist multipole (half pi) loses a third of it. Per axis, so the oblique wave loses twice as much.
@@ -205,7 +205,7 @@ def test_looked_up_waves_keep_their_power(phase, allowed):
         for part, of_sky in enumerate((sky.real, sky.imag)):
             place = np.zeros((8, n_samp))
             place[0], place[3] = at_column, at_row
-            add_sky(read[part], sharpened(of_sky), place, np.zeros(1), np.zeros(1), np.ones(1))
+            add_skies(read[part : part + 1], sharpened(of_sky)[None], place, np.zeros(1), np.zeros(1), np.ones(1))
         wave = np.exp(-1j * (phase * at_column + across * at_row))
         power = np.abs(np.mean((read[0, 0] + 1j * read[1, 0]) * wave)) ** 2
         # Random places add the images of the grid, of a few percent of the amplitude each.

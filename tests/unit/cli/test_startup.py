@@ -1,5 +1,6 @@
 """Heavy imports that small commands start without, and the constants that stand in for them."""
 
+import os
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -10,7 +11,7 @@ from astropy.table import Table
 from scipy.spatial.distance import pdist
 
 from mapmaker.files import write_ecsv
-from surveysim.runtime.environment import UNUSED
+from surveysim.runtime.environment import THREADS, UNUSED
 from surveysim.telescope.focal_plane import closest_pair
 from surveysim.telescope.layouts import hexagon
 from tests.scenes import WHITE_NOISE_SCENE
@@ -95,6 +96,17 @@ def test_parts_of_numpy_are_executed_at_their_first_use():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.split() == [*["False"] * len(UNUSED), "True"], done.stderr
+
+
+def test_matrix_products_get_one_thread_unless_the_environment_asks_for_more():
+    code = (
+        "from surveysim.runtime.environment import settle\nsettle()\nimport numpy, threadpoolctl\n"
+        "print(*{library['num_threads'] for library in threadpoolctl.threadpool_info()})"
+    )
+    unset = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    for extra, threads in (({}, "1"), (dict.fromkeys(THREADS, "2"), "2")):
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=unset | extra)
+        assert done.stdout.split() == [threads], done.stderr
 
 
 def test_help_loads_next_to_nothing(tmp_path):

@@ -17,7 +17,7 @@ from mapmaker.binning import (
     write_healpix,
 )
 from mapmaker.geometry import MapGeometry, check_nside, finest_nside, plane_directions, wcs
-from mapmaker.kernels.pixels import add_sky, bin_samples, count_samples, plane_pixels
+from mapmaker.kernels.pixels import add_skies, bin_samples, count_samples, plane_pixels
 from surveysim.survey.kernels import add_signed
 from tests import naive
 
@@ -118,13 +118,14 @@ def test_sums_of_many_samples_keep_double_precision(kind):
 
 
 @KINDS
-def test_add_sky(rng, kind):
+def test_add_skies(rng, kind):
     arguments = tracks(rng)
-    sky, gain = rng.standard_normal((N_Y, N_X)).astype(kind), rng.uniform(0.5, 2, N_DET).astype(kind)
-    start = rng.standard_normal((N_DET, N_SAMP)).astype(kind)
+    skies, gain = rng.standard_normal((2, N_Y, N_X)).astype(kind), rng.uniform(0.5, 2, N_DET).astype(kind)
+    start = rng.standard_normal((2, N_DET, N_SAMP)).astype(kind)
     found, expected = start.copy(), start.astype(float)
-    add_sky(found, sky, *arguments, gain)
-    naive.add_sky(expected, sky.astype(float), *arguments, gain.astype(float))
+    add_skies(found, skies, *arguments, gain)
+    for data, sky in zip(expected, skies.astype(float), strict=True):
+        naive.add_sky(data, sky, *arguments, gain.astype(float))
     assert (expected != start).sum() > 100 and (expected == start).any()
     # A few operations on numbers of order 1.
     np.testing.assert_allclose(found, expected, atol=20 * np.finfo(kind).eps)
@@ -133,14 +134,15 @@ def test_add_sky(rng, kind):
 def test_a_linear_sky_is_looked_up_exactly():
     row, column = np.indices((N_Y, N_X)).astype(float)
     c, r = np.array([0.0, 2.25, 7.9]), np.array([0.5, 5.75, 0.0])
-    data = np.zeros((1, 3))
-    add_sky(data, 2 * column - 3 * row, at_places(c, r), np.array([0.05]), np.array([0.1]), np.array([1.5]))
-    np.testing.assert_allclose(data[0], 1.5 * (2 * (c + 0.05) - 3 * (r + 0.1)), atol=1e-13)
+    data, sky = np.zeros((1, 1, 3)), (2 * column - 3 * row)[None]
+    add_skies(data, sky, at_places(c, r), np.array([0.05]), np.array([0.1]), np.array([1.5]))
+    np.testing.assert_allclose(data[0, 0], 1.5 * (2 * (c + 0.05) - 3 * (r + 0.1)), atol=1e-13)
 
 
-def test_add_signed(rng):
-    total = rng.standard_normal((6, 3, 5, 5))
-    values, signs = rng.standard_normal((4, 3, 5, 5)), rng.choice([-1.0, 1.0], (6, 4))
+@KINDS
+def test_add_signed(rng, kind):
+    total, values = (rng.standard_normal((n, 1300)).astype(kind) for n in (6, 4))
+    signs = rng.choice([-1.0, 1.0], (6, 4)).astype(kind)
     expected = total.copy()
     naive.add_signed(expected, values, signs)
     add_signed(total, values, signs)

@@ -8,7 +8,9 @@ from surveysim import load_scene, load_sweep
 from surveysim.cli.options import setting
 from surveysim.output.file_names import INPUT, WRITTEN
 from surveysim.output.scene_copy import SCENE_FILE, scene_files, sweep_files
-from surveysim.scene.keys import file_keys
+from surveysim.scene.fields import FILE
+from surveysim.scene.file_keys import file_keys
+from surveysim.scene.keys import all_keys
 from surveysim.scene.scene import scene_hash
 from surveysim.studies.sweep.axes import sweep_hash
 from tests.scenes import SMALL_SCENE, write_scene
@@ -89,6 +91,10 @@ def test_a_table_comes_along(tmp_path):
     assert scene_hash(load_scene(again(files, tmp_path / "elsewhere"))) == digest
     (tmp_path / "elsewhere").rename(tmp_path / "moved")
     assert scene_hash(load_scene(tmp_path / "moved" / SCENE_FILE)) == digest
+
+
+def test_keys_of_files_are_those_of_the_schema():
+    assert set(file_keys()) == {key for key, item in all_keys().items() if item.get("format") == FILE}
 
 
 @pytest.mark.parametrize("key", file_keys())

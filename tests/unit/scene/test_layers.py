@@ -72,22 +72,28 @@ def test_a_site_has_a_scale_height(path):
     """It is one of the scene's assumed values where the scene has a profile."""
     site = {"atmosphere.site": "alma", "instrument.bandwidth": 0.15}
     assert load_scene(path, site).atmosphere.water_scale_height_m is None
-    scene = load_scene(path, site | {"atmosphere.profile": "exponential"})
+    scene = load_scene(path, site | {"atmosphere.profile": "exponential", "atmosphere.layer_height": None})
     assert scene.atmosphere.water_scale_height_m == 2000 and len(layer_sections(scene.atmosphere)) == 4
+    of_height = [line for line in scene.assumed if "layer_height" in line]
+    assert of_height[0].endswith("; beside other layers, only the height of the drawn wind")
+    assert any(line.startswith('atmosphere.water_scale_height = "2 km": assumed') for line in scene.assumed)
 
 
 @pytest.mark.parametrize(
     "keys, words",
     [
         ({"layers": [LOW]}, ("shares that sum to 0.75", "1 is expected")),
-        ({"layers": [LOW, HIGH | {"name": "low"}]}, ("layers[1].name", "different names")),
-        ({"layers": [LOW | {"height": "5 m"}, HIGH]}, ("layers[0].height", "no less than the aperture")),
-        ({"layers": [LOW | {"outer_scale": "5 m"}, HIGH]}, ("layers[0].outer_scale", "no less than the aperture")),
-        ({"layers": [LOW, HIGH | {"spectral_index": 3}]}, ("layers[1].pivot: missing",)),
-        ({"layers": [LOW, HIGH | {"pivot": "1 arcmin"}]}, ("layers[1].pivot", "without a 'spectral_index'")),
+        ({"layers": [LOW, HIGH | {"name": "low"}]}, ("atmosphere.layers.1.name", "different names")),
+        ({"layers": [LOW | {"height": "5 m"}, HIGH]}, ("atmosphere.layers.0.height", "no less than the aperture")),
+        (
+            {"layers": [LOW | {"outer_scale": "5 m"}, HIGH]},
+            ("atmosphere.layers.0.outer_scale", "no less than the aperture"),
+        ),
+        ({"layers": [LOW, HIGH | {"spectral_index": 3}]}, ("atmosphere.layers.1.pivot: missing",)),
+        ({"layers": [LOW, HIGH | {"pivot": "1 arcmin"}]}, ("atmosphere.layers.1.pivot", "without a 'spectral_index'")),
         (
             {"layers": [LOW, HIGH | {"spectral_index": 5, "pivot": "1 arcmin"}]},
-            ("layers[1].outer_scale: missing", "needs an outer scale"),
+            ("atmosphere.layers.1.outer_scale: missing", "needs an outer scale"),
         ),
         ({"layers": [LOW | {"sahre": 1}, HIGH]}, ("sahre: unknown key",)),
         ({"layers": [LOW, HIGH], "profile": "exponential"}, ("profile: found with 'layers'",)),
@@ -107,7 +113,7 @@ def test_refusals(path, keys, words):
     "keys, words",
     [
         ({"decorrelation_time": "0.5 s"}, ("atmosphere.decorrelation_time: found 0.5 s; 0.6 s or more",)),
-        ({"layers": [LOW, HIGH | {"decorrelation_time": "0.5 s"}]}, ("atmosphere.layers[1].decorrelation_time",)),
+        ({"layers": [LOW, HIGH | {"decorrelation_time": "0.5 s"}]}, ("atmosphere.layers.1.decorrelation_time",)),
         (
             {"wind_drift": {"speed_rms": 0.1, "time_scale": "5 s"}},
             ("atmosphere.wind_drift.time_scale: found 5 s",),

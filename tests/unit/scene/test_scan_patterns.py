@@ -90,7 +90,8 @@ def test_errors_name_the_keys_of_the_pattern(tmp_path):
 def test_values_of_a_key_are_judged_by_all_patterns_that_have_it():
     assert wrong_value("scan.pattern", "pong") == wrong_value("scan.duration", "3 min") == ""
     assert wrong_value("scan.radius", "3 s").startswith("scan.radius: found '3 s'")
-    assert wrong_value("scan.pattern", "dasy").startswith("scan.pattern: found 'dasy'")
+    names = "'raster', 'azimuth', 'daisy', 'lissajous', 'pong' or 'track' is expected"
+    assert wrong_value("scan.pattern", "dasy") == f"scan.pattern: found 'dasy'; {names}"
 
 
 def test_every_pattern_has_its_list_of_keys():

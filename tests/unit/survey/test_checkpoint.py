@@ -171,7 +171,7 @@ FORGERIES = {
         for name in ("sums", "weight", "flipped", "signal_maps", "raw_psd")
     },
     **{f"infinity in {name}": changed(name, set_at(np.inf)) for name in ("sums", "signal_weight", "clean_psd")},
-    **{f"vast {name}": changed(name, set_at(-1e300)) for name in ("sums", "flipped", "signal_maps")},
+    **{f"vast {name}": changed(name, set_at(-2e30)) for name in ("sums", "flipped", "signal_maps")},
     "infinite noise of an observation with data": changed("bin_noise", set_at(np.inf, 3)),
     "no noise of an observation with data": changed("rows", set_at(np.inf, -1)),
     "unknown noise": changed("rows", set_at(np.nan, -1)),
@@ -385,7 +385,7 @@ def test_a_cluster_that_is_gone_leaves_the_last_checkpoint(tmp_path, scene, monk
     setup, path, gone = prepare(scene.model_copy(update={"observations": 48})), tmp_path / "checkpoint.h5", []
     first, second = (SpanJob(setup.scene, None)(Span(number, number + 16)) for number in (0, 16))
 
-    def lost(job, spans, engine, large):
+    def lost(job, spans, engine, large, meanwhile):
         with monkeypatch.context() as patch:
             patch.setattr("surveysim.survey.run.monotonic", lambda: np.inf)  # a checkpoint is due
             yield 0, HeldSums(first, gone)

@@ -81,7 +81,10 @@ def test_naive_tree(setup, singles, in_order):
     patch = setup.analysis.region.patch
     signs = np.stack([naive.jackknife_signs(setup.scene, number) for number in range(N_OBS)], axis=1)
     flipped = naive.tree_sum(
-        [signs[:, i, None, None, None] * item.sums[:, patch, patch] for i, item in enumerate(singles)]
+        [
+            (signs[:, i, None, None, None] * item.sums[:, patch, patch]).astype(np.float32)
+            for i, item in enumerate(singles)
+        ]
     )
     np.testing.assert_array_equal(in_order.flipped, flipped)
     for name in ("sums", "weight", "hits"):
@@ -221,6 +224,15 @@ def test_few_observations_are_handed_out_before_one_has_told_its_time():
     spans.measured(0.01)
     assert spans.take(1000) is not None and spans.left() == 91
     assert handed_out(list(range(100)), None, 1, single=True) == one_by_one(100)
+
+
+def test_an_estimate_of_the_time_gives_leaves_until_one_is_timed():
+    spans = Spans(list(range(500)), single=False, each_s=0.01)
+    assert [spans.take(2)[1] for _ in range(2)] == [Span(0, 16), Span(16, 32)]
+    spans.measured(0.01)
+    assert spans.take(2)[1] == Span(32, 64)
+    slow = Spans(list(range(500)), single=False, each_s=SPAN_S)
+    assert slow.take(2)[1] == Span(0, 1)
 
 
 def test_pickles_leave_out_what_follows_from_the_rest(setup, singles):

@@ -57,7 +57,7 @@ def test_flipped_maps_are_sums_with_common_signs(setup, coadds):
         item = observation_sums(setup.analysis, observe(setup, number, with_signal_sims=False))
         maps = np.stack([item.split_sums, item.split_weight], axis=1)
         expected += split_signs(setup.scene, number)[:, None, None, None] * maps[:, None]
-    np.testing.assert_allclose(coadds.split_flipped, expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(coadds.split_flipped, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
 
 
 def test_same_bits_on_workers_and_after_a_stop(tmp_path, setup, coadds):
@@ -118,7 +118,8 @@ def test_halves_of_the_array_are_interleaved(setup):
 @pytest.mark.parametrize(
     ("text", "keys", "message"),
     [
-        (SMALL_SCENE, {"spectra.parts": 3}, "spectra.parts: found 3 with 4 observations; fewer parts are expected"),
+        (SMALL_SCENE, {"spectra.parts": 3}, "spectra.parts: found 3 with 4 observations; at most 2 parts are expected"),
+        (SMALL_SCENE, {"observations": 2}, "found 2 with 2 observations; a longer survey is expected"),
         (SMALL_SCENE, {"spectra.parts": None}, "spectra.parts: missing; 'night' needs it"),
         (SMALL_SCENE, {"spectra.splits": ["array"]}, "spectra.parts: found without the split 'night'"),
         (SMALL_SCENE, {"spectra.splits": ["night", "night"]}, "found 'night' more than once"),

@@ -223,7 +223,7 @@ def test_effects_may_be_zero(make):
         ('[readout_noise.group]\nknee = "1 Hz"\nslope = 1\n', "readout_noise.group.group_size: missing"),
         (
             '[[lines]]\nfrequency = "2 Hz"\nwidth = "1 Hz"\nrms = "1 mK"\nshared = "group"\n',
-            r"lines\[0\].group_size: mi",
+            r"lines.0.group_size: mi",
         ),
         (
             '[[lines]]\nfrequency = "1 kHz"\nwidth = "1 Hz"\nrms = "1 mK"\nshared = "array"\n',

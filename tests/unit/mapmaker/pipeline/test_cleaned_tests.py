@@ -5,6 +5,7 @@ import pytest
 
 from mapmaker.kernels.cleaned_tests import step_statistic
 from mapmaker.pipeline.cleaned_tests import CleanedBlock, find_glitches, find_jumps, mean_square, white_noise
+from mapmaker.pipeline.common_signal import compare_with_others, strangers
 from tests import naive
 
 N_DET, N, BOUNDS = 12, 200, np.array([[0, 200], [210, 410], [420, 500]])
@@ -15,8 +16,10 @@ def block(seed=0, change=lambda data: None, lost=None, place=None):
     data = np.random.default_rng(seed).standard_normal((N_DET, N_SAMP))
     change(data)
     nothing = np.zeros(data.shape, bool)
-    none = np.full(data.shape, -1) if place is None else place
-    return CleanedBlock(data, nothing if lost is None else lost, BOUNDS, nothing, none)
+    places = np.full(data.shape, -1) if place is None else place
+    return CleanedBlock(
+        data, nothing if lost is None else lost, BOUNDS, nothing.__getitem__, places.__getitem__, places.max() + 1
+    )
 
 
 def test_step_statistic():
@@ -76,6 +79,22 @@ def test_what_several_passes_see_is_a_source(passes, is_source):
     item = block(5, source, place=place)
     assert find_glitches(item, 6.0).any() != is_source
     assert bool(find_jumps(item, 10, 8.0)) != is_source
+
+
+@pytest.mark.parametrize("drift", [0.0, 1.0])
+def test_detectors_without_the_common_signal(drift):
+    """Found beside a common drift, though others have twice the gain or much noise; never in noise alone."""
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        walk = np.cumsum(rng.standard_normal(N_SAMP))
+        data = rng.standard_normal((N_DET + 2, N_SAMP)) + drift * walk
+        data[4] += drift * walk
+        data[6] += 20 * drift * rng.standard_normal(N_SAMP)
+        data[9] = rng.standard_normal(N_SAMP)
+        lost = rng.random(data.shape) < 0.05
+        data[lost] = np.nan
+        found = strangers(*compare_with_others(data, lost, BOUNDS, np.arange(len(data))))
+        assert np.flatnonzero(found).tolist() == [9] * (drift > 0)
 
 
 def test_noise_levels():

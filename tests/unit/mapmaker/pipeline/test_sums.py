@@ -33,12 +33,20 @@ def test_weighted_sums():
 
 
 def test_halves_of_files():
-    section = JackknifeSection(files=5)
+    section = JackknifeSection(files=5, splits=("files",))
     for n_file, wanted in ((1, 0), (2, 1), (4, 3), (9, 5)):
         halves = [item.first_files for item in make_splits(section, n_file) if item.kind == "files"]
         assert len(set(halves)) == len(halves) == wanted
         assert all(len(half) == n_file // 2 and max(half, default=0) < n_file for half in halves)
     assert make_splits(section, 9) == make_splits(section, 9)
+
+
+@pytest.mark.parametrize("n_file", [2, 4, 6])
+def test_no_division_is_there_twice(n_file):
+    """The division in time of an even number of files is one by files."""
+    splits = make_splits(JackknifeSection(files=20), n_file)
+    later = frozenset(range(n_file // 2, n_file))
+    assert later not in [item.first_files for item in splits] and "time" in [item.name for item in splits]
 
 
 def test_halves_of_one_file():
@@ -73,8 +81,8 @@ def test_a_sky_without_noise_cancels_in_all_halves():
         cleaned = replace(cleaned, cleaned_mk=item.data_mk)  # with its means
         weight = np.linspace(1, 2 + k, N_DET)
         sums.add(mapped_file(GEOMETRY, cleaned, weight, splits=sums.splits, place=(k, 4), order={}))
-    assert len(sums.splits) == 6
-    for k in range(6):
+    assert len(sums.splits) == 5
+    for k in range(5):
         noise = sums.noise_map(k)
         assert (noise.weight > 0).sum() > 200 and np.abs(noise.signal_mk).max() < 1e-12
     seen = sums.hits[0] > 0

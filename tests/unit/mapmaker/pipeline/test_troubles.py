@@ -9,9 +9,9 @@ import pytest
 from mapmaker.geometry import pixel_centres, plane_offsets
 from mapmaker.pipeline.config import Config
 from mapmaker.pipeline.run import clean_and_map
-from tests.unit.mapmaker.pipeline.made import ARCMIN, N_DET, N_SCAN, N, changed, streams, written
+from tests.unit.mapmaker.pipeline.made import ARCMIN, N_DET, N_SCAN, WHITE_MK, N, changed, streams, written
 
-DEAD, EMPTY, NOISY, QUIET, JUMPED, GLITCHED = 3, 7, 12, 16, 21, 10
+DEAD, EMPTY, NOISY, QUIET, JUMPED, GLITCHED, STRANGE = 3, 7, 12, 16, 21, 10, 18
 FILES = ("000.h5", "001.h5", "002.h5", "003.h5")
 FIRST_SCAN = 100
 
@@ -19,6 +19,7 @@ FIRST_SCAN = 100
 def harm(data, bounds, rng):
     data[rng.random(data.shape) < 0.01] = np.nan
     data[NOISY] += 20 * rng.standard_normal(data.shape[1])
+    data[STRANGE] = 0 * data[STRANGE] + WHITE_MK * rng.standard_normal(data.shape[1])
     data[QUIET] = 0.05 * rng.standard_normal(data.shape[1])
     data[JUMPED, bounds[4, 0] + 70 :] += 60.0
     data[GLITCHED, bounds[2, 0] + 33] += 300.0
@@ -72,7 +73,7 @@ def test_everything_that_is_left_out_is_named(pair):
     found = {(item.file, item.detector, item.scan, item.reason) for item in rows}
     expected = {("broken.h5", "", -1, "unreadable")}
     for file in FILES:
-        whole = {DEAD: "constant", EMPTY: "no finite sample", NOISY: "noisy"}
+        whole = {DEAD: "constant", EMPTY: "no finite sample", NOISY: "noisy", STRANGE: "without the common signal"}
         whole[QUIET] = "constant" if file == "001.h5" else "too little noise"  # as integers, all its samples are 0
         expected |= {(file, f"d{detector:02d}", -1, reason) for detector, reason in whole.items()}
         expected.add((file, f"d{JUMPED}", FIRST_SCAN + 4, "jump"))
@@ -115,4 +116,4 @@ def test_weights_are_the_measured_noise(pair):
     for result in pair:
         for item in result.detectors:
             assert item.weight == pytest.approx(item.noise_mk**-2)
-    assert {item.n_det_used for item in pair[1].files if item.used} == {N_DET - 4, N_DET - 5}
+    assert {item.n_det_used for item in pair[1].files if item.used} == {N_DET - 5, N_DET - 6}
