@@ -275,7 +275,8 @@ def _wrapped(canvas: Figure, text: str, width: float, size: float) -> str:
     Each word is measured once, after a letter and a space: formulas of a whole line are slow to lay out.
     """
     letter = _width(canvas, "n", size)
-    lines, taken = [], 0.0
+    lines: list[str] = []
+    taken = 0.0
     for word in re.findall(r"(?:\$[^$]*\$|\S)+", text):
         step = _width(canvas, f"n {word}", size) - letter
         if lines and taken + step <= width:
