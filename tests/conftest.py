@@ -43,10 +43,11 @@ def pytest_xdist_auto_num_workers(config):
 
 
 def pytest_collection_finish(session):
-    """Keep collections of garbage off all that is imported, and BLAS to one thread: two processes share two cores."""
+    """Keep collections of garbage off all that is imported, BLAS to one thread, and files off the disk's own pace."""
     gc.collect()
     gc.freeze()
     threadpool_limits(1)
+    os.fsync = lambda descriptor: None  # files of tests need not outlive the machine
 
 
 @pytest.fixture

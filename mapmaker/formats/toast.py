@@ -16,6 +16,7 @@ import numpy as np
 from mapmaker.errors import InputError
 from mapmaker.files import atomic_write
 from mapmaker.formats.border import check_shape, data_set, detector_names, group, millikelvin, refusals, unit_rotations
+from mapmaker.formats.flac import read_compressed
 from mapmaker.formats.rotations import about_axis, product, rotated, sky_angles
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.validation import argument_error, increasing, integers, number, reals
@@ -171,20 +172,23 @@ def _streams_of(file: Any, fwhm_rad: float | None) -> Timestreams:
 
 
 def _signal_mk(file: Any, shape: tuple[int, int]) -> np.ndarray:
-    signal = _detector_data(file, "signal", shape)
-    scale = millikelvin("detdata/signal", signal.attrs.get("units", ""))
-    data = reals("detdata/signal", signal[()], shape, finite=False)
+    name = "detdata/signal"
+    signal, unit = _detector_data(file, "signal", shape)
+    scale = millikelvin(name, unit)
+    data = reals(name, signal, shape, finite=False)
     data *= scale
     return data
 
 
-def _detector_data(file: Any, name: str, shape: tuple[int, int]) -> Any:
-    detectors = group(file, "detdata")
+def _detector_data(file: Any, name: str, shape: tuple[int, int]) -> tuple[np.ndarray, str]:
+    """Values of all detectors and their unit."""
+    detectors, whole_name = group(file, "detdata"), f"detdata/{name}"
     if name in detectors and hasattr(detectors[name], "keys"):
-        raise InputError(f"detdata/{name} is compressed (flacarray); data without compression are expected")
+        item = group(detectors, name)
+        return read_compressed(whole_name, item, shape), item.attrs.get("units", "")
     item = data_set(detectors, name)
-    check_shape(f"detdata/{name}", item.shape, shape)
-    return item
+    check_shape(whole_name, item.shape, shape)
+    return item[()], item.attrs.get("units", "")
 
 
 def _boresight(file: Any, n_samp: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -225,7 +229,7 @@ def _flags(file: Any, names: list[str], shape: tuple[int, int], inside: np.ndarr
     if "flags" in shared:
         lost |= inside & _masked("shared/flags", data_set(shared, "flags")[()], shape[1:], _SHARED_MASK)
     if "flags" in group(file, "detdata"):
-        lost |= _masked("detdata/flags", _detector_data(file, "flags", shape)[()], shape, _DETECTOR_MASK)
+        lost |= _masked("detdata/flags", _detector_data(file, "flags", shape)[0], shape, _DETECTOR_MASK)
     name, whole = "observation_detector_flags", json.loads(file.attrs.get("observation_detector_flags", "{}"))
     lost |= _masked(name, [whole.get(of_detector, 0) for of_detector in names], shape[:1], _DETECTOR_MASK)[:, None]
     return lost if lost.any() else None

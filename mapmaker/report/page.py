@@ -1,12 +1,14 @@
 """HTML of a report page."""
 
 import re
+from functools import cache
 from typing import TYPE_CHECKING
 
 from mapmaker.printable import printable
 from mapmaker.report.components import Page
 
 if TYPE_CHECKING:
+    from jinja2 import Environment
     from markupsafe import Markup
 
 # Units and symbols as the results write them, once they are escaped for HTML.
@@ -39,6 +41,13 @@ _CONTROLS = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 def page_bytes(page: Page, footer: str) -> bytes:
     """Make the HTML of a page, with a footer in which code stands in backticks."""
+    text = _environment().get_template("page.html.j2").render(page=page, footer=footer.split("`"))
+    return _CONTROLS.sub(lambda found: printable(found[0]), text).encode("utf-8")
+
+
+@cache
+def _environment() -> "Environment":
+    """Templates, which are compiled once for all pages of a process."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -50,8 +59,7 @@ def page_bytes(page: Page, footer: str) -> bytes:
         keep_trailing_newline=True,
     )
     environment.filters["units"] = units
-    text = environment.get_template("page.html.j2").render(page=page, footer=footer.split("`"))
-    return _CONTROLS.sub(lambda found: printable(found[0]), text).encode("utf-8")
+    return environment
 
 
 def units(text: str) -> "Markup":

@@ -47,7 +47,8 @@ class SourceFlux:
     transfer
         Share of a flux of this profile that the transfer function leaves.
     measured_mjy, error_mjy
-        In the co-added map of the actual data, and its noise from sign-flipped co-adds.
+        In the co-added map of the actual data, and its noise: that of sign-flipped co-adds in apertures anywhere on the
+        patch, scaled by the weights.
     """
 
     source: str
@@ -106,7 +107,7 @@ def source_fluxes(
     s = analysis.data_set_names.index(data_set)
     there = coadds.weight[s][patch, patch]
     measured = weighted_mean(coadds.sums[s][patch, patch], there)
-    flipped = _without_sky(analysis, coadds, s, measured, there)
+    psd = _noise_psd(analysis, _without_sky(analysis, coadds, s, measured, there), there)
     width_rad = float(analysis.beams.fwhm_rad @ analysis.beams.share)
     to_mjy = (
         1e3
@@ -120,7 +121,6 @@ def source_fluxes(
         if aperture is None:
             continue
         fluxes = [to_mjy * float(np.sum(aperture * item)) for item in (*maps, measured)]
-        noise = to_mjy * np.tensordot(flipped, aperture, axes=2)
         share = _left(_profile(geometry, source, width_rad), aperture, transfer)
         found.append(
             SourceFlux(
@@ -134,7 +134,7 @@ def source_fluxes(
                 output_mjy=fluxes[1],
                 transfer=share,
                 measured_mjy=fluxes[2],
-                error_mjy=float(np.sqrt(np.mean(noise**2))),
+                error_mjy=to_mjy * _scatter(aperture, there, psd),
             )
         )
     return tuple(found)
@@ -149,6 +149,29 @@ def _without_sky(
     uneven = (signs @ each / max(each.sum(), 1e-300))[:, None, None]
     flipped = weighted_mean(coadds.flipped[:, data_set], weight) - uneven * measured
     return flipped / np.sqrt(np.maximum(1 - uneven**2, 1e-9))
+
+
+def _noise_psd(analysis: AnalysisSetup, flipped: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Power of the noise in each mode of the padded patch, over that of white noise with the variance of the weights.
+
+    The noise is even, but for the weights (n, n).
+    """
+    from scipy.fft import rfft2
+
+    region = analysis.region
+    modes = rfft2(region.pad(region.taper * np.sqrt(weight) * flipped), workers=1)
+    return np.mean(np.abs(modes) ** 2, axis=0) / np.sum(region.taper**2)
+
+
+def _scatter(aperture: np.ndarray, weight: np.ndarray, psd: np.ndarray) -> float:
+    """Noise of a flux: that of its aperture anywhere on the patch, with the weight at its place."""
+    from scipy.fft import rfft2
+
+    n_pad, used = len(psd), aperture != 0
+    power = np.abs(rfft2(aperture, (n_pad, n_pad), workers=1)) ** 2 * mode_multiplicity(n_pad, n_pad).reshape(psd.shape)
+    squares = aperture[used] ** 2
+    variance = np.sum(power * psd) / n_pad**2 * np.sum(squares / weight[used]) / np.sum(squares)
+    return float(np.sqrt(variance))
 
 
 def _order(source: _Source) -> tuple[bool, float]:

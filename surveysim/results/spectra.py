@@ -29,7 +29,7 @@ _PARTS = {
 }
 _SHARED = (
     "The parts share the atmosphere and the cleaning, so their cross-spectrum has a noise bias, which random signs of"
-    " the observations measure. It is not removed."
+    " the observations measure. It is removed."
 )
 _BIAS = "noise_bias_uk2", "noise_bias_error_uk2"
 
@@ -49,6 +49,7 @@ def _bins(spectra: SurveySpectra) -> Iterator[dict[str, Any]]:
     """Reported band powers, a row for each bin."""
     item = spectra.reported
     powers, relative = item.powers, spectra.transfer_error / spectra.transfer
+    expected = np.abs(powers.power_uk2) if spectra.input_uk2 is None else spectra.input_uk2
     columns = {
         "ell_low": powers.ell_low,
         "ell_high": powers.ell_high,
@@ -57,7 +58,7 @@ def _bins(spectra: SurveySpectra) -> Iterator[dict[str, Any]]:
         "power_uk2": powers.power_uk2,
         "monte_carlo_error_uk2": item.monte_carlo.error_uk2,
         "analytic_error_uk2": powers.covariance.error_uk2,
-        "transfer_function_error_uk2": relative * np.abs(powers.power_uk2),
+        "transfer_function_error_uk2": relative * expected,
         "noise_bias_uk2": item.bias_uk2,
         "noise_bias_error_uk2": item.bias_error_uk2,
     }

@@ -2,6 +2,7 @@
 
 import platform
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import version
 from typing import Any
 
@@ -12,8 +13,11 @@ PACKAGES = ("numpy", "scipy", "numba", "astropy", "healpy", "ducc0", "h5py", "py
 
 def made_by() -> dict[str, Any]:
     """Versions of surveysim, Python and the packages it computes with."""
-    packages = {name: version(name) for name in PACKAGES}
+    packages = {name: _version(name) for name in PACKAGES}
     return {"surveysim": __version__, "python": platform.python_version(), "packages": packages}
+
+
+_version = cache(version)  # which reads files: sweeps write many summaries
 
 
 def now() -> str:

@@ -40,14 +40,14 @@ class SplitSpectrum:
     ----------
     split
     powers
-        Band powers, with their analytic covariance.
+        Band powers, with their analytic covariance; without the noise bias for parts that share weather.
     monte_carlo
         Covariance over realizations of noise, with random signs, and Gaussian signal.
     bias_uk2, bias_error_uk2 : (n_bin,)
-        Cross-power of the noise of the parts, as the realizations have it: not removed from the band powers.
+        Cross-power of the noise of the parts, as the realizations have it, and its error as an estimate of the mean of
+        other surveys.
     fit
-        Chi-squared of the band powers about those of the simulated sky, less the bias of parts that share weather; None
-        where the sky is no spectrum.
+        Chi-squared of the band powers about those of the simulated sky; None where the sky is no spectrum.
     null
         Power of the difference of the parts with even and with odd numbers.
     independent
@@ -189,18 +189,31 @@ def _split_spectrum(measure: _Measure, coadds: CoAdds, split: Split) -> SplitSpe
     expected = _expected(measure)
     each = part_maps(analysis, coadds, split, [slice(place, place + 1) for place in range(len(split.parts))])
     maps, noise = analysis.region.pad(each.maps_uk), analysis.region.pad(each.noise_uk)
-    powers = cross_band_powers(maps, coupling, signal_uk2=expected)
+    powers, of_noise = cross_band_powers(maps, coupling, signal_uk2=expected), realized_band_powers(noise, coupling)
+    bias, bias_error = _mean(of_noise, each)
+    if split.name != NIGHT:
+        powers = replace(powers, power_uk2=powers.power_uk2 - bias, noise_uk2=powers.noise_uk2 + bias)
     spectrum = measure.spectrum or _measured_spectrum(powers)
     signal = analysis.region.pad(_signal_maps(measure, spectrum, len(noise)))
     monte_carlo = monte_carlo_covariance(realized_band_powers(noise + signal[:, None], coupling))
-    bias, bias_error = _mean(realized_band_powers(noise, coupling), each)
-    shared = split.name != NIGHT
+    if split.name != NIGHT:
+        monte_carlo = _with_bias(monte_carlo, of_noise)
     fit = None
     if expected is not None:
-        residual = powers.power_uk2 - expected - bias * shared
-        fit = chi_squared(residual, _with_transfer(measure, monte_carlo, expected))
+        fit = chi_squared(powers.power_uk2 - expected, _with_transfer(measure, monte_carlo, expected))
     null, independent = _null(measure, coadds, split)
     return SplitSpectrum(split, powers, monte_carlo, bias, bias_error, fit, null, independent, float(each.unseen.max()))
+
+
+def _with_bias(covariance: Covariance, of_noise: np.ndarray) -> Covariance:
+    """Add the error of the mean of the noise powers of realizations (K, n_bin), which is subtracted from band powers.
+
+    The products of each observation's noise with itself are the same in all realizations and in the band powers. The
+    subtraction removes them, bias and scatter. Products of different observations are left, as the realizations have
+    them.
+    """
+    own = monte_carlo_covariance(of_noise).matrix_uk4 / len(of_noise)
+    return replace(covariance, matrix_uk4=covariance.matrix_uk4 + own)
 
 
 def _mean(realized: np.ndarray, of: PartMaps) -> tuple[np.ndarray, np.ndarray]:

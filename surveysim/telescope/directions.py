@@ -64,18 +64,32 @@ def horizontal(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np.ndar
 
 @dataclass(frozen=True)
 class LightPath:
-    """ERFA's astrometry parameters `seen` (n,), and the change (n, 3) of the field's direction by the Sun's gravity."""
+    """Parameters of apparent directions near a field at some times (n,).
 
+    Attributes
+    ----------
+    mjd : (n,)
+        UTC.
+    seen : (n,)
+        ERFA's astrometry parameters.
+    rotation_rad : (n,)
+        Earth rotation angle and longitude, without jumps.
+    deflection : (n, 3)
+        Change of the field's direction by the Sun's gravity.
+    """
+
+    mjd: np.ndarray
     seen: np.ndarray
+    rotation_rad: np.ndarray
     deflection: np.ndarray
 
 
 def light_path(field: FieldCentre, site: Site, mjd: np.ndarray) -> LightPath:
     """Compute the parameters of apparent directions near a field at UTC `mjd` (n,)."""
     with _any_year():
-        seen = _astrometry(site, np.asarray(mjd, dtype=float), LIGHT_PATH_DAYS)
+        seen = _astrometry(site, mjd, LIGHT_PATH_DAYS)
     place = erfa.s2c(field.ra_rad, field.dec_rad)
-    return LightPath(seen, _deflected(place, seen) - place)
+    return LightPath(mjd, seen, np.unwrap(seen["eral"]), _deflected(place, seen) - place)
 
 
 def hour_angle_dec(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

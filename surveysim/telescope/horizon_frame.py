@@ -13,9 +13,10 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from mapmaker.geometry import MapGeometry, north_angle
-from surveysim.telescope.directions import FieldCentre, Site, light_path
+from surveysim.telescope.directions import FieldCentre, LightPath, Site, light_path
 
 _NODE_S = 600.0  # the velocity of the site by the Earth's rotation turns by 2.5 degrees: an error of 1e-4 arcsec
+_STRETCH_DAYS = 0.25  # times whose nodes are computed together
 _DAY_S = 86400.0
 
 
@@ -120,18 +121,19 @@ class _Seen:
     @classmethod
     def at(cls, frame: HorizonFrame, time_s: np.ndarray) -> "_Seen":
         """Interpolate the parameters at times since the start of the observation."""
-        first, last = float(np.min(time_s)), float(np.max(time_s))
-        nodes = np.linspace(first, max(last, first + 1), 2 + int((last - first) / _NODE_S))
-        path = light_path(frame.field, frame.site, frame.start_mjd + nodes / _DAY_S)
-        seen = path.seen
-        turn, rate = np.unwrap(seen["eral"]), (seen["bpn"][-1] - seen["bpn"][0]) / (nodes[-1] - nodes[0])
+        first, last = (frame.start_mjd + float(time) / _DAY_S for time in (np.min(time_s), np.max(time_s)))
+        path = _path_between(frame.field, frame.site, int(first // _STRETCH_DAYS), int(last // _STRETCH_DAYS))
+        begin = int(np.searchsorted(path.mjd, first, side="right")) - 1
+        around = slice(begin, max(begin, int(np.searchsorted(path.mjd, last)) - 1) + 2)
+        nodes, seen = (path.mjd[around] - frame.start_mjd) * _DAY_S, path.seen[around]
+        rate = (seen["bpn"][-1] - seen["bpn"][0]) / (nodes[-1] - nodes[0])
         return cls(
-            deflection=path.deflection[len(nodes) // 2][:, None],
+            deflection=path.deflection[around][len(nodes) // 2][:, None],
             velocity=np.stack([np.interp(time_s, nodes, axis) for axis in seen["v"].T]),
             of_date=seen["bpn"][0] - rate * nodes[0],
             of_date_rate=rate,
             time_s=time_s,
-            rotation_rad=np.interp(time_s, nodes, turn),
+            rotation_rad=np.interp(time_s, nodes, path.rotation_rad[around]),
             latitude_rad=float(np.arctan2(seen["sphi"][0], seen["cphi"][0])),
         )
 
@@ -155,6 +157,13 @@ class _Seen:
         cos, sin = self.turn
         vectors = np.stack([out * cos - east * sin, out * sin + east * cos, z])
         return self.of_date.T @ vectors + self.of_date_rate.T @ (vectors * self.time_s)
+
+
+@lru_cache(maxsize=4)  # observations of a night have them in common
+def _path_between(field: FieldCentre, site: Site, first: int, last: int) -> LightPath:
+    """Path of light in some stretches of time, numbered from MJD 0 on, `last` included."""
+    n = round(_STRETCH_DAYS * _DAY_S / _NODE_S)
+    return light_path(field, site, np.arange(first * n, (last + 1) * n + 1) * (_STRETCH_DAYS / n))
 
 
 def _field_axes(field: FieldCentre) -> np.ndarray:

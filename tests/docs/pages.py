@@ -45,11 +45,6 @@ def blocks(path: Path) -> list[Block]:
     return [Block(path.name, token.map[0] + 1, token.info.strip(), token.content) for token in fences]
 
 
-def edits(page: list[Block]) -> bool:
-    """Whether a page changes the program."""
-    return any(block.language == "diff" for block in page)
-
-
 def follow(page: list[Block], folder: Path) -> None:
     """Do in an empty folder what a page says, with the installed program; AssertionError names the block that fails.
 
@@ -57,7 +52,7 @@ def follow(page: list[Block], folder: Path) -> None:
     commands is what they print, or lines of it.
     """
     # A reader who changes the program has installed it with -e, and runs the changed one.
-    edited = edits(page)
+    edited = any(block.language == "diff" for block in page)
     for name in ("scenarios", *PROGRAM) if edited else ("scenarios",):
         _copy(ROOT / name, folder / name)
     printed = None
@@ -82,8 +77,9 @@ def follow(page: list[Block], folder: Path) -> None:
 
 
 def _copy(source: Path, target: Path) -> None:
+    """Copy a file or a folder with its compiled kernels, which hold as long as their source has its size and date."""
     if source.is_dir():
-        shutil.copytree(source, target, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(source, target)
     else:
         shutil.copy(source, target)
 

@@ -1,15 +1,13 @@
 """The guide's examples, run as they stand."""
 
 import os
-import shutil
 import time
 import tomllib
 from concurrent.futures import ThreadPoolExecutor
-from threading import Lock
 
 import pytest
 
-from tests.docs.pages import PAGES, README, Block, blocks, edits, follow, with_sections
+from tests.docs.pages import PAGES, README, Block, blocks, follow, with_sections
 
 pytestmark = pytest.mark.docs
 AT_ONCE = 2  # pages: much of each runs on one core
@@ -20,20 +18,8 @@ WITH_EXAMPLES = [path for path in (*PAGES, README) if any(block.language == "bas
 def followed(request, tmp_path_factory):
     """Futures of the examples of each page that is asked for."""
     asked = [item.callspec.params["path"] for item in request.session.items if "followed" in item.fixturenames]
-    one_folder, taken = tmp_path_factory.mktemp("edited"), Lock()
-
-    def done(path):
-        page = blocks(path)
-        if not edits(page):
-            return follow(page, tmp_path_factory.mktemp(path.stem))
-        # Numba's cache of kernels is for their folder.
-        with taken:
-            shutil.rmtree(one_folder)
-            one_folder.mkdir()
-            return follow(page, one_folder)
-
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        yield {path: pool.submit(done, path) for path in asked}
+        yield {path: pool.submit(follow, blocks(path), tmp_path_factory.mktemp(path.stem)) for path in asked}
 
 
 @pytest.mark.parametrize("path", WITH_EXAMPLES, ids=lambda path: path.stem)

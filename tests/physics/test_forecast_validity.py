@@ -190,16 +190,16 @@ def test_forecasts_are_right_or_flagged(simulated, name):
 
 @pytest.mark.slow
 def test_the_error_of_the_ratio_is_its_scatter_over_seeds(tmp_path):
-    """16 seeds: chi^2 per degree of freedom is 1 +- 0.37, of each data set."""
+    """12 seeds: chi^2 per degree of freedom is 1 +- 0.43, of each data set."""
     off = {}
-    for seed in range(16):
+    for seed in range(12):
         with shared_expectations():
             result = run(CASES["as Bolocam"].scene(tmp_path / "scene.toml", 1000 + seed), engine=SERIAL)
         for name, item in forecast_agreement(result).items():
             off.setdefault(name, []).append((item.sigma, item.sigma_error))
     for name, pairs in off.items():
         sigma, error = np.array(pairs).T
-        assert 0.27 < np.sum(((sigma - sigma.mean()) / error) ** 2) / 15 < 2.1, name  # 2 and 3 standard errors
+        assert 0.15 < np.sum(((sigma - sigma.mean()) / error) ** 2) / 11 < 2.3, name  # 2 and 3 standard errors
         assert abs(sigma.mean()) < 0.05, name
 
 

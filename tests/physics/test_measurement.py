@@ -63,7 +63,7 @@ def test_map_of_white_noise_is_white(tmp_path):
 @pytest.fixture(scope="module")
 def survey():
     """Measurements of two surveys of other seeds."""
-    scenes = [load_scene(LYNX, {"observations": 240} | seed) for seed in ({}, {"seed": 1})]
+    scenes = [load_scene(LYNX, {"observations": 160} | seed) for seed in ({}, {"seed": 1})]
     return measure_survey(scenes, SERIAL)
 
 

@@ -1,17 +1,17 @@
 """The cameras that ship beside published numbers, and each number with a source."""
 
 import re
-import subprocess
 import tomllib
 
 import pytest
 
 from docs.cameras import KINDS, PAGE, numbers, ours, with_table
+from surveysim.api import run
+from surveysim.runtime.engine import SERIAL
 from surveysim.scene.bands import has_bands, load_bands
 from surveysim.scene.keys import scene_keys
 from surveysim.scene.scene import load_scene
 from surveysim.scene.shipped import camera_folder, camera_titles
-from tests.entry import COMMAND
 
 NUMBERS = numbers()
 CAMERAS = list(camera_titles())
@@ -82,7 +82,9 @@ def test_cameras_have_no_published_scores(camera):
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_cameras_run(camera, tmp_path):
     """With half the scans at twice the distance, which covers the field."""
-    scan = (next(iter(load_bands(camera).bands.values())) if has_bands(camera) else load_scene(camera)).scan
+    load = load_bands if has_bands(camera) else load_scene
+    scene = load(camera)
+    scan = (next(iter(scene.bands.values())) if has_bands(camera) else scene).scan
     settings = {
         "observations": 2,
         "scan.scans": scan.scans // 2,
@@ -91,8 +93,5 @@ def test_cameras_run(camera, tmp_path):
         "score.signal_sims.skies": 2,
         "score.signal_sims.observations": 1,
     }
-    options = [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
-    command = [*COMMAND, "run", camera, *options, "--workers", "1", "--no-figures"]
-    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
-    assert ended.returncode == 0, ended.stderr
-    assert (tmp_path / "outputs").is_dir()
+    run(load(camera, settings), tmp_path / "out", engine=SERIAL, figures=False)
+    assert (tmp_path / "out" / "summary.json").is_file()

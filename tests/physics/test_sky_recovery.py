@@ -159,14 +159,14 @@ def covariance(power, taper, bin_of_mode, n_bin):
 
 
 @pytest.mark.slow
-def test_spectra_of_a_hundred_skies():
+def test_spectra_of_sixty_skies():
     """Skies of a spectrum of CAMB and a flat one, through the scans: their mean, and the chi^2 of each.
 
-    Cross-spectra of the maps of two pairs of observations, over the transfer function of 60 flat skies. The expectation
+    Cross-spectra of the maps of two pairs of observations, over the transfer function of 36 flat skies. The expectation
     and its covariance are direct sums over the modes of the sky. Means that scans lose leave stripes, which mix long
     waves into short ones: some 3 uK2 of this sky at l = 8000 to 10000, less than the errors of the mean.
     """
-    n_flat, n_sky = 60, 100
+    n_flat, n_sky = 36, 60
     setup = setup_of(n_flat + n_sky, 4, **{"map.pixel": "20 arcsec"})
     region, grid, pixel = setup.analysis.region, setup.sky.geometry, setup.analysis.geometry.pixel_rad
     rings, n_bin = region.rings, len(region.rings.ell)

@@ -11,9 +11,9 @@ from surveysim.survey.run import run_observations
 from tests.seeds import shared_expectations
 from tests.stopped import WEATHER, weather_scene
 
-SEEDS = 32
+SEEDS = 24
 TARGET = 0.055
-LONG = 2000  # observations of the reference
+LONG = 1200  # observations of the reference
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def reference(tmp_path_factory):
 
 @pytest.mark.slow
 def test_stopped_runs_are_honest(tmp_path, reference):
-    """32 seeds: the mean is that of a long run, deviations are as large as is said, and the target is kept."""
+    """24 seeds: the mean is that of a long run, deviations are as large as is said, and the target is kept."""
     found = []
     for seed in range(SEEDS):
         with shared_expectations():

@@ -2,12 +2,16 @@
 
 import signal
 import sys
+from functools import cache
 
 import pytest
 from PIL import Image
+from typer.main import get_command
 
 from surveysim.cli.main import main
 from tests.scenes import write_scene
+
+get_command_once = cache(get_command)  # a process of a user's runs one command
 
 
 @pytest.fixture
@@ -45,6 +49,7 @@ def call(monkeypatch, capsys, handlers):
     def call(*arguments):
         monkeypatch.setattr(sys, "argv", ["surveysim", *map(str, arguments)])
         monkeypatch.setattr("surveysim.runtime.environment.settle", lambda: None)  # its changes last
+        monkeypatch.setattr("typer.main.get_command", get_command_once)
         monkeypatch.setattr("mapmaker.kernels.compiled.is_cached", lambda kernel: True)  # or the first test says more
         with pytest.raises(SystemExit) as end:
             main()

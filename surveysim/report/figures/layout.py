@@ -270,14 +270,21 @@ def _resize(canvas: Figure, height: float, caption: Text, common: float) -> None
 
 
 def _wrapped(canvas: Figure, text: str, width: float, size: float) -> str:
-    """Break a text into lines of at most a width [inch], but not inside formulas."""
+    """Break a text into lines of at most a width [inch], but not inside formulas.
+
+    Each word is measured once, after a letter and a space: formulas of a whole line are slow to lay out.
+    """
+    letter = _width(canvas, "n", size)
     lines: list[str] = []
+    taken = 0.0
     for word in re.findall(r"(?:\$[^$]*\$|\S)+", text):
-        longer = f"{lines[-1]} {word}" if lines else word
-        if lines and _width(canvas, longer, size) <= width:
-            lines[-1] = longer
+        step = _width(canvas, f"n {word}", size) - letter
+        if lines and taken + step <= width:
+            lines[-1] += f" {word}"
+            taken += step
         else:
             lines.append(word)
+            taken = step
     return "\n".join(lines)
 
 

@@ -51,8 +51,8 @@ NULLS = (
 SKY = (
     "Fluxes in a compensated aperture: a disc less a ring of equal area around it. In: the sky through the beam. Out: "
     "its map without noise. Transfer: what scans and cleaning leave of such a source, from the simulated skies. In the "
-    "map: the co-added map of the run, with its noise; K sign-flipped co-adds determine that to 1 / sqrt(2 K). All "
-    "sources are in tables/sky_fluxes.ecsv.",
+    "map: the co-added map of the run, with its noise, that of sign-flipped co-adds anywhere on the map. All sources "
+    "are in tables/sky_fluxes.ecsv.",
 )
 UNKNOWN = "Its error is unknown: there are too few observations to estimate it."
 

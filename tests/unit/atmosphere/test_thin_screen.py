@@ -26,7 +26,7 @@ KOLMOGOROV = Screen(11.0 / 3.0, 8.0 / 1000.0)
 def brute_structure_function(screen, theta_rad):
     """4 pi int alpha P beam^2 (1 - J0) d alpha by trapezoids in ln alpha; below, 1 - J0 is quadratic."""
     low = 1e-4 if math.isinf(screen.outer_scale_rad) else 1e-4 / screen.outer_scale_rad
-    alpha = np.geomspace(low, 2000.0 / screen.beam_rad, 2_000_001)
+    alpha = np.geomspace(low, 2000.0 / screen.beam_rad, 500_001)
     beam = beam_transfer(alpha * screen.beam_rad)
     integrand = alpha**2 * power(screen, alpha) * beam**2 * (1.0 - j0(2.0 * np.pi * alpha * theta_rad))
     head = 0.0

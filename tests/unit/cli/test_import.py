@@ -125,7 +125,7 @@ def test_no_field_is_dropped_in_silence(call, camera):
 
 def test_scene_runs(call, camera):
     imported(call, camera, "--channel", "east/high")
-    assert call("run", "mine", "--set", "observations=2", "--set", "score.jackknives=8")[0] == 0
+    assert call("run", "mine", "--set", "observations=2", "--set", "score.jackknives=8", "--no-figures")[0] == 0
 
 
 @pytest.mark.parametrize("name, channel", [("comprehensive", "cam_1.chan_1"), ("example", "cam_1.chan_2")])

@@ -1,5 +1,6 @@
 """Formats of time-streams: versions, recognition by content, round trips, what is lost, wrong files of each."""
 
+import sys
 import warnings
 from dataclasses import replace
 
@@ -261,6 +262,44 @@ def test_wrong_toast_files(file_of, case):
     change, words = WRONG_TOAST[case]
     path = file_of("toast")
     change(path)
+    refused(mm.read_timestreams, path, words)
+
+
+def compressed(path, change=lambda group: None):
+    """Compress signal and flags as TOAST does."""
+    flacarray = pytest.importorskip("flacarray.hdf5")
+    with h5py.File(path, "r+") as file:
+        for name, kind, options in (("signal", np.float64, {"precision": 6}), ("flags", np.int32, {})):
+            values, unit = file[f"detdata/{name}"][()].astype(kind), file[f"detdata/{name}"].attrs["units"]
+            del file[f"detdata/{name}"]
+            item = file.create_group(f"detdata/{name}")
+            item.attrs["units"] = unit
+            flacarray.write_array(np.nan_to_num(values), item, **options)
+        change(file["detdata/signal"])
+
+
+def test_compressed_toast_files(file_of):
+    path = file_of("toast")
+    expected = mm.read_timestreams(path)
+    compressed(path)
+    found = mm.read_timestreams(path)
+    np.testing.assert_array_equal(found.flags, expected.flags)
+    expected_mk = np.nan_to_num(expected.data_mk)
+    np.testing.assert_allclose(found.data_mk, expected_mk, atol=1e-5 * expected_mk.std())
+    with h5py.File(path, "r+") as file:
+        file["detdata/signal/stream_bytes"][2] += 1
+    refused(mm.read_timestreams, path, "detdata/signal has streams beyond its")
+
+
+@pytest.mark.parametrize(
+    "version, words", [("1", "is compressed: pip install 'mmcam-surveysim.toast.'"), ("0", "in an old format; load it")]
+)
+def test_compressed_toast_files_that_cannot_be_read(file_of, monkeypatch, version, words):
+    monkeypatch.setitem(sys.modules, "flacarray.hdf5", None)
+    path = file_of("toast")
+    with h5py.File(path, "r+") as file:
+        del file["detdata/signal"]
+        file.create_group("detdata/signal").attrs["flacarray_format_version"] = version
     refused(mm.read_timestreams, path, words)
 
 

@@ -34,8 +34,9 @@ def fronts(plane, delay_s_rad, rng, slope=-8 / 3, low_hz=0.01, late_s=0.0):
     for delay in np.broadcast_to(delay_s_rad, (SCANS, 2)):
         f = np.exp(rng.uniform(math.log(low_hz), math.log(1.2), 300))
         amplitude = f ** ((slope + 1) / 2) * rng.standard_normal(300)
-        seen = t - (plane.x_rad * delay[0] + plane.y_rad * delay[1] + late_s)[:, None]
-        scans.append(np.cos(2 * np.pi * seen[..., None] * f + rng.uniform(0, 2 * np.pi, 300)) @ amplitude)
+        late = plane.x_rad * delay[0] + plane.y_rad * delay[1] + late_s
+        waves = amplitude * np.exp(1j * (2 * np.pi * t[:, None] * f + rng.uniform(0, 2 * np.pi, 300)))
+        scans.append((np.exp(-2j * np.pi * late[:, None] * f) @ waves.T).real)
     return np.hstack(scans)
 
 

@@ -130,37 +130,33 @@ def no_font(*arguments):
     raise ValueError("Failed to find font\nin many places\x1b[31m")
 
 
-FAILURES = [
-    no_font,
-    lambda *arguments: 1 / 0,
-    lambda *arguments: os.open("/nowhere/DejaVuSans.ttf", os.O_RDONLY),
-    lambda *arguments: exec("raise RuntimeError"),
-    lambda *arguments: "text".nothing,
-    lambda *arguments: np.zeros(3)[5],
-]
+FAILURES = {
+    "weather": no_font,
+    "timestream_psd": lambda *arguments: 1 / 0,
+    "map_psds": lambda *arguments: os.open("/nowhere/DejaVuSans.ttf", os.O_RDONLY),
+    "transfer_functions": lambda *arguments: exec("raise RuntimeError"),
+    "cumulative_sensitivity": lambda *arguments: "text".nothing,
+    "bin_weights": lambda *arguments: np.zeros(3)[5],
+}
 
 
-@pytest.mark.parametrize("fail", FAILURES)
-def test_a_figure_that_fails_costs_a_line(result, tmp_path, monkeypatch, caplog, fail):
+def test_a_figure_that_fails_costs_a_line(result, tmp_path, monkeypatch, caplog):
+    """Of any kind of error, beside others that fail or are drawn."""
     monkeypatch.setattr(figures, "save", lambda figure, path, full: path.write_bytes(b""))  # drawing takes time
-    monkeypatch.setattr(figures, "weather", fail)
-    for name in (
-        "track_and_hits",
-        "timestream_psd",
-        "coadded_map",
-        "map_psds",
-        "transfer_functions",
-        "cumulative_sensitivity",
-        "bin_weights",
-    ):
+    for name, fail in FAILURES.items():
+        monkeypatch.setattr(figures, name, fail)
+    for name in ("track_and_hits", "coadded_map"):
         monkeypatch.setattr(figures, name, lambda *arguments: drawing.new_figure(1, 1))
     (tmp_path / "figures").mkdir()
     monkeypatch.setattr("surveysim.report.html.survey.run_pictures", lambda *arguments: [])
     outputs.write_outputs(tmp_path, result, True)
     summary = json.loads((tmp_path / "summary.json").read_text())
-    (line,) = (record.getMessage() for record in caplog.records)
-    assert line.startswith("figure 'weather' can't be drawn (") and line.isprintable() and len(line) < 250
-    assert line in summary["warnings"] and "Warning: figure" in (tmp_path / "report.html").read_text()
+    lines = [record.getMessage() for record in caplog.records]
+    assert len({line.partition(" (")[0] for line in lines}) == len(lines) == len(FAILURES)
+    assert "figure 'weather' can't be drawn (" in "".join(lines)
+    assert all(line.startswith("figure '") and line.isprintable() and len(line) < 250 for line in lines)
+    assert set(lines) <= set(summary["warnings"])
+    assert "Warning: figure" in (tmp_path / "report.html").read_text()
     assert set(summary["files"]) == files(tmp_path) - {"summary.json"}
     assert "figures/weather.png" not in summary["files"] and "figures/map.png" in summary["files"]
 
@@ -247,12 +243,18 @@ def test_files_are_on_the_disk_before_they_have_their_name(tmp_path, monkeypatch
     assert events == [[f"a.txt.{os.getpid()}.part"]] and files(tmp_path) == {"a.txt"}
 
 
+@pytest.fixture(scope="module")
+def whole(scene, tmp_path_factory):
+    """Contents of the files of a run."""
+    out = tmp_path_factory.mktemp("whole")
+    run(scene, out, engine=SERIAL, figures=False)
+    return {name: (out / name).read_bytes() for name in files(out)}
+
+
 @pytest.mark.parametrize("share", [0.001, 0.3, 0.6, 0.9])
-def test_a_full_disk_leaves_no_half_written_file_and_the_checkpoint(scene, tmp_path, monkeypatch, share):
+def test_a_full_disk_leaves_no_half_written_file_and_the_checkpoint(scene, whole, tmp_path, monkeypatch, share):
     """No file may be larger than a share of the largest one: the run ends, and goes on once there is room."""
     monkeypatch.setattr("surveysim.survey.run.CHECKPOINT_SECONDS", 0.0)
-    run(scene, tmp_path / "whole", engine=SERIAL, figures=False)
-    whole = {name: (tmp_path / "whole" / name).read_bytes() for name in files(tmp_path / "whole")}
     write, limits = outputs.write_outputs, resource.getrlimit(resource.RLIMIT_FSIZE)
     most = int(share * max(len(content) for name, content in whole.items() if name != CHECKPOINT))
 

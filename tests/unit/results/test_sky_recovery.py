@@ -1,18 +1,22 @@
 """The scene's own sky and what comes back of it: inputs, transfer functions, fluxes, files."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.table import QTable
 from astropy.wcs import WCS
+from scipy.ndimage import correlate1d
 
+import mapmaker as mm
 from mapmaker.geometry import pixel_centres
 from surveysim.api import run
 from surveysim.reduction.input_map import input_map
 from surveysim.reduction.setup import prepare
 from surveysim.report.figures.survey import survey_figures
+from surveysim.results.sky_fluxes import _noise_psd, _scatter
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
 from tests.scenes import SMALL_SCENE, write_scene
@@ -89,6 +93,22 @@ def test_fluxes_of_a_source_and_a_cluster(finished):
     assert cluster.input_mjy < 0 and math.isnan(cluster.catalogue_mjy)
     assert source.measured_mjy == pytest.approx(source.output_mjy, rel=0.02)
     assert 0 < source.error_mjy < 0.2 * source.measured_mjy
+
+
+def test_noise_of_a_flux():
+    """White noise of uneven weights, smoothed: the closed form of its kernel, to the scatter of six maps."""
+    rng, n = np.random.default_rng(3), 64
+    taper = mm.tukey_taper(n, n, 1.0, size_rad=n, edge_fraction=0.5)
+    region = SimpleNamespace(taper=taper, pad=lambda maps: np.pad(maps, [(0, 0)] * (maps.ndim - 2) + [(0, n)] * 2))
+    weight = np.exp(np.linspace(-1, 1, n))[:, None] * np.ones(n)
+    kernel = np.array([0.5, 1, 0.5])
+    noise = correlate1d(correlate1d(rng.normal(size=(6, n, n)), kernel, axis=1), kernel, axis=2) / np.sqrt(weight)
+    aperture = np.zeros((n, n))
+    aperture[40:43, 30:33] = 1
+    psd = _noise_psd(SimpleNamespace(region=region), noise, weight)
+    expected = np.sum(np.convolve(np.ones(3), kernel) ** 2) / np.sqrt(weight[41, 31])
+    # Six maps with 64^2 / 40 independent apertures each, a third of them under the taper.
+    assert _scatter(aperture, weight, psd) == pytest.approx(expected, rel=4 / np.sqrt(2 * 6 * 64**2 / 40 / 3))
 
 
 def test_files_of_the_sky(finished):

@@ -8,6 +8,7 @@ import time
 from itertools import islice
 
 import pytest
+from distributed import LocalCluster
 from threadpoolctl import threadpool_info
 
 from surveysim.runtime.dask_cluster import MOST_ITEMS, SCHEDULER_S, UNIT_S, on_cluster, run_unit, unit_size
@@ -19,6 +20,20 @@ DASK = Engine("dask", workers=2)
 ALL = pytest.mark.parametrize("engine", [SERIAL, TWO, DASK], ids=lambda engine: engine.kind)
 SLOW_DASK = pytest.param(DASK, marks=pytest.mark.slow)
 LOCAL = pytest.mark.parametrize("engine", [TWO, SLOW_DASK], ids=lambda engine: engine.kind)
+
+
+@pytest.fixture(scope="module")
+def on_a_cluster():
+    """Dask on a cluster that is there: its workers are threads of this process, which start in no time."""
+    how = {"processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
+    with LocalCluster(2, threads_per_worker=1, **how) as cluster:
+        yield Engine("dask", scheduler=cluster.scheduler_address)
+
+
+@pytest.fixture(params=["serial", "processes", "dask"])
+def each(request):
+    """Each engine; dask makes no cluster of its own, which takes a second."""
+    return {"serial": SERIAL, "processes": TWO}.get(request.param) or request.getfixturevalue("on_a_cluster")
 
 
 def square(item):
@@ -73,11 +88,8 @@ def test_order_errors_and_threads(engine, two_threads):
     assert not multiprocessing.active_children()
 
 
-@ALL
-def test_all_answers_without_order(engine):
-    assert sorted(unordered_map(square_alone, InOrder(range(40), position=40), engine)) == [
-        (i, i**2) for i in range(40)
-    ]
+def test_all_answers_without_order(each):
+    assert sorted(unordered_map(square_alone, InOrder(range(40), position=40), each)) == [(i, i**2) for i in range(40)]
 
 
 def square_alone(item):
@@ -91,20 +103,18 @@ class OneAtATime(InOrder):
         return None if self.taken > self.position else super().take(workers)
 
 
-@ALL
-def test_items_that_wait_for_answers_are_all_handed_out(engine):
+def test_items_that_wait_for_answers_are_all_handed_out(each):
     source, found = OneAtATime(range(3)), []
-    for answer in unordered_map(square_alone, source, engine):
+    for answer in unordered_map(square_alone, source, each):
         source.position += 1
         found.append(answer)
     assert found == [(0, 0), (1, 1), (2, 4)]
 
 
-@ALL
-def test_the_first_error_is_raised_when_work_in_progress_is_finished(engine):
+def test_the_first_error_is_raised_when_work_in_progress_is_finished(each):
     found = []
     with pytest.raises(ValueError, match="found 3$"):
-        for number, _ in unordered_map(fails_late_or_early, InOrder(range(10**6), position=10**6), engine):
+        for number, _ in unordered_map(fails_late_or_early, InOrder(range(10**6), position=10**6), each):
             found.append(number)
     assert {0, 1, 2} <= set(found) and len(found) < 10**6
 

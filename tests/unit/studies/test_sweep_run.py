@@ -218,7 +218,7 @@ def test_each_point_has_the_files_of_a_run(levels, tmp_path):
     assert link.text == "10 mK²/Hz" and link.attributes["href"] == "points/1/report.html"
 
 
-def test_all_of_a_point_is_kept_if_asked(write, tmp_path):
+def test_all_of_a_point_is_kept_if_asked(write, tmp_path, blank_figures):
     run_sweep(write(WHITE + '\n[sweep]\n"scan.scans" = [4]\n'), tmp_path, engine=SERIAL, figures=False, keep_all=True)
     point = tmp_path / "points" / "0"
     assert (point / "maps" / "actual.fits").is_file() and (point / "figures" / "map_psd.png").is_file()
