@@ -1,11 +1,11 @@
 """The closed forms of the components of the time-streams: noise of a data set against the observing conditions."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from surveysim.forecasting.noise_bins import NoiseBins
-from surveysim.forecasting.observing_conditions import ObservingConditions
+from surveysim.forecasting.observing_conditions import Correlation, ObservingConditions
 from surveysim.telescope.pixel_coherence import part_weights
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.glitches import glitch_psd, kept_power
@@ -66,21 +66,32 @@ def layers(of: NoiseBins) -> Noise:
 
 def readout_noise(of: NoiseBins) -> Noise:
     """1/f noise of the readout: lines of streams twice as long as a scan, and the trends of lower frequencies."""
+    terms = [(psd, of.readout(at_hz, power, alike)) for psd, at_hz, power, alike in readout_lines(of)]
+
+    def noise(conditions: ObservingConditions) -> np.ndarray:
+        return np.sum([np.outer(readout_level(psd, conditions), bins) for psd, bins in terms], axis=0)
+
+    return noise
+
+
+def readout_lines(of: NoiseBins) -> Iterator[tuple[float | None, np.ndarray, np.ndarray, Correlation]]:
+    """Parts of the readout noise: PSD [mK^2/Hz], and for unit PSD lines (n,) of both signs, variances, correlation.
+
+    The PSD is None where it is that of the white noise (`readout_level`).
+    """
     n, rate = 2 * samples_per_scan(of.scans), of.scans.sample_rate_hz
     positive, slow = rate / n * np.arange(1, n // 2 + 1), rate / n / _SLOW
-    terms = []
     for shared, part in of.scene.readout_noise.parts.items():
         trend = trend_variance(part, n, rate) / (2 * np.pi * slow) ** 2
         variance = np.concatenate([[trend], red_psd(part, n, rate)[1:] * rate / n])
         at_hz, correlation = np.concatenate([[slow], positive]), of.in_common(shared, getattr(part, "group_size", None))
-        terms.append((part.psd_mk2_hz, of.readout(*_both_signs(at_hz, variance), correlation)))
+        yield part.psd_mk2_hz, *_both_signs(at_hz, variance), correlation
 
-    def noise(conditions: ObservingConditions) -> np.ndarray:
-        white = conditions.white + conditions.shared
-        levels = [white if psd is None else np.full(len(white), psd) for psd, _ in terms]
-        return np.sum([np.outer(level, bins) for level, (_, bins) in zip(levels, terms, strict=True)], axis=0)
 
-    return noise
+def readout_level(psd_mk2_hz: float | None, conditions: ObservingConditions) -> np.ndarray:
+    """PSD (n_obs,) [mK^2/Hz] of a part of the readout noise, by default that of the white noise."""
+    white = conditions.white + conditions.shared
+    return white if psd_mk2_hz is None else np.full(len(white), psd_mk2_hz)
 
 
 def microphonic_lines(of: NoiseBins) -> Noise:

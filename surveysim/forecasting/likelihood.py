@@ -8,7 +8,8 @@ those of noise. With W_b its inverse, a map mode that is seen at the frequency f
     Q = sum_b s^H W_b F [int_b |w(f - f')|^2 C(f') df'] F^H W_b s,
 
 over bands of both signs of f'. The mean of a scan, the cosine mode 0, is in no band. C is the sum of white noise with
-its correlations, excess noise, and the waves of the layers, whose phases between detectors the noise model leaves out.
+its correlations, excess and readout noise, and the waves of the layers, whose phases between detectors the noise model
+leaves out.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.gls import GlsOptions
+from surveysim.forecasting.closed_forms import readout_level, readout_lines
 from surveysim.forecasting.layer_table import sine_nodes, stream_frequencies
 from surveysim.forecasting.mode_response import LayerWaves, Modes, ProjectedArray, projected_array
 from surveysim.forecasting.noise_bins import MapBins
@@ -30,7 +32,7 @@ from surveysim.telescope.scans import Scans, samples_per_scan
 from surveysim.timestreams.low_frequency import excess_psd
 
 # Components, and steps of the response, with a closed form of these maps.
-COMPONENTS = ("photon", "detector", "excess", "atmosphere", "sky")
+COMPONENTS = ("photon", "detector", "excess", "readout_noise", "atmosphere", "sky")
 STEPS = ("pointing_errors", "responsivity")
 MOST_DETECTORS = 600  # whose covariance is inverted in each band
 _DRAWS = 8  # observations that represent a survey
@@ -77,24 +79,23 @@ class StreamNoise:
     ----------
     white : (n_det, n_det)
         White noise [mK^2/Hz].
-    excess : (n_det, n_det)
-        Correlation of the excess noise.
-    lines_hz, line_mk2 : (n_line,)
-        Its lines of both signs, and their variances.
+    lines
+        Correlation (n_det, n_det) of excess noise and of each part of the readout noise, their lines (n_line,) of both
+        signs [Hz], and the variances (n_line,) of these.
     layers
         Waves of each layer: their frequencies (n_wave,), variances (n_wave,) and amplitudes in the detectors
         (n_det, n_wave).
     """
 
     white: np.ndarray
-    excess: np.ndarray
-    lines_hz: np.ndarray
-    line_mk2: np.ndarray
+    lines: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
     layers: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
 
     def mean(self, band: Band) -> np.ndarray:
         """Mean real cross-spectra (n_det, n_det) in a band."""
-        total = self.white + self.excess * (self.line_mk2[band.holds(self.lines_hz)].sum() / band.width_hz)
+        total = self.white
+        for correlation, at_hz, variance in self.lines:
+            total = total + correlation * (variance[band.holds(at_hz)].sum() / band.width_hz)
         for at_hz, variance, seen in self.layers:
             inside = band.holds(at_hz)
             waves = seen[:, inside] * np.sqrt(variance[inside] / band.width_hz)
@@ -164,9 +165,9 @@ def _observation(
         fitted += seen_weight * n_fitted / n_vector
         signal += through * _product(response, array.responsivity[:, None] * steering)
         added += through * _product(response, noise.white @ response)
-        inside = band.holds(noise.lines_hz)
-        of_lines = _through(of, noise.lines_hz[inside], noise.line_mk2[inside])
-        added += of_lines * _product(response, noise.excess @ response)
+        for correlation, at_hz, variance in noise.lines:
+            inside = band.holds(at_hz)
+            added += _through(of, at_hz[inside], variance[inside]) * _product(response, correlation @ response)
         for at_hz, variance, seen in noise.layers:
             inside = band.holds(at_hz)
             amplitude = response.conj().T @ seen[:, inside]
@@ -195,8 +196,11 @@ def _stream_noise(of: MapBins, array: ProjectedArray, conditions: ObservingCondi
     parts = part_weights(float(conditions.stop_share[draw]), len(photon))
     shared = sum(weight * _dense(item, n_det) for weight, item in zip(parts, photon, strict=True))
     white = conditions.white[draw] * _dense(of.independent, n_det) + conditions.shared[draw] * shared
-    lines_hz, line_mk2 = _excess_lines(of, float(conditions.excess[draw]))
-    return StreamNoise(white / 2, _dense(excess, n_det), lines_hz, line_mk2, list(_layers(of, array, conditions, draw)))
+    lines = [(_dense(excess, n_det), *_excess_lines(of, float(conditions.excess[draw])))]
+    for psd, at_hz, variance, correlation in readout_lines(of) if of.scene.readout_noise else ():
+        level = readout_level(psd, conditions)[draw]
+        lines.append((_dense(correlation, n_det), *_in_scans(of.scans, at_hz, level * variance / 2)))
+    return StreamNoise(white / 2, lines, list(_layers(of, array, conditions, draw)))
 
 
 def _dense(correlation: Correlation, n_det: int) -> np.ndarray:
@@ -215,6 +219,18 @@ def _excess_lines(of: MapBins, variance: float) -> tuple[np.ndarray, np.ndarray]
     psd = variance * excess_psd(of.scene.excess, 1.0, n_samp, 2 * n_samp, rate)[1:]
     positive = step * np.arange(1, n_samp + 1)
     return np.concatenate([-positive, positive]), np.tile(psd * step / 2, 2)
+
+
+def _in_scans(scans: Scans, at_hz: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lines as scans see them: waves slower than the first cosine mode as trends, which are in that mode but for 1 %.
+
+    A wave of frequency f has the variance ``(2 pi f T)^2 / 12`` of its own about the mean of a scan of length T.
+    """
+    n_samp, rate = samples_per_scan(scans), scans.sample_rate_hz
+    first = rate / (2 * n_samp)
+    slow = np.abs(at_hz) < first / 2
+    of_trend = (2 * np.pi * at_hz * n_samp / rate) ** 2 / 12
+    return np.where(slow, np.sign(at_hz) * first, at_hz), np.where(slow, of_trend, 1.0) * variance
 
 
 def _layers(

@@ -54,6 +54,14 @@ def solved_map(
     return SolvedMapNoise(*solved_bins(modes, sums, tracks), expected_weights(setup.analysis, each.noise), each)
 
 
+def single_observations(setup: Setup, pipeline: CleaningPipeline, conditions: ObservingConditions) -> np.ndarray:
+    """Noise variance a sample (n_obs, n_bin) of the maps of single observations, by the map-maker of the scene."""
+    if setup.scene.map.maker == "destriped":
+        return destriped_noise(setup, pipeline, conditions, baseline_samples(setup)).each.noise
+    share = np.ones(len(conditions.sine))
+    return likelihood_sums(setup, pipeline, conditions, share, noise_options(setup.scene.map))[2].noise
+
+
 def why_not_solved(setup: Setup) -> str | None:
     """Name what a maximum-likelihood map of a scene has that has no closed form; None if nothing, or another maker."""
     if setup.scene.map.maker != "maximum_likelihood":

@@ -20,7 +20,7 @@ from surveysim.reduction.scored_region import ScoredRegion
 from surveysim.scene.analysis import Score
 
 _TAPER_STEPS = 1024
-_REACH, _STEPS = 12, 2  # cycles in the width of the taper, and nodes a cycle; beyond is 1e-4 of the power at most
+_REACH, _STEPS = 12, 2  # cycles in the width of the taper, and nodes a cycle; 1 % of a box is beyond, less of others
 _ANGLES, _ELLS = 16, 4  # of the scans, in half a turn, and nodes in a bin
 _BETWEEN = 8  # multipoles a bin at which N is known
 _LEAST = 1e-300  # of noise whose logarithm is finite

@@ -121,7 +121,9 @@ def _budgets(
     scatter = float(np.std(off, ddof=1) * n_draw**0.5) if n_draw > 1 else np.nan
     weather = subtract_in_quadrature(scatter, common) * student_factor(n_draw)
     if item.control is None:
-        return (ErrorBudget(realizations, weather if n_draw >= FEWEST else np.nan, skies),) * 2
+        if n_draw < FEWEST:  # the error that a forecast expects of sigma(A), if there is one
+            weather = item.budget.weather * abs(exponent)
+        return (ErrorBudget(realizations, weather, skies),) * 2
     drawn = float(np.hypot(weather, item.control.sampling * abs(exponent)))
     quoted = ErrorBudget(realizations, weather, skies, item.control.population * abs(exponent))
     return quoted, ErrorBudget(realizations, drawn, skies)

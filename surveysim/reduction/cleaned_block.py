@@ -46,9 +46,11 @@ class CleanedBlock:
         return tuple(self.pixels[pipeline.rows] for pipeline in self.pipelines)
 
     @cached_property
-    def normal(self) -> NormalBlock | None:
-        """Pointing and noise weights of the kept scans, for a map that is solved for; None without a kept scan."""
-        [pipeline], [index], [item] = self.pipelines, self.index, self.cleaned
+    def normal(self) -> tuple[NormalBlock | None, ...]:
+        """For each pipeline of maps that are solved for, pointing and noise weights of the kept scans; None without."""
+        return tuple(map(self._normal, self.pipelines, self.index, self.cleaned))
+
+    def _normal(self, pipeline: CleaningPipeline, index: np.ndarray, item: Cleaned) -> NormalBlock | None:
         bounds = self.streams.scan_bounds[item.kept]
         if not len(bounds):
             return None

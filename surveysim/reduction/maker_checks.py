@@ -17,8 +17,10 @@ def check_maker(scene: Scene, scans: Scans) -> None:
         return
     if scene.cleaning.compare:
         raise SceneError(f"cleaning.compare: found pipelines with map.maker {maker!r}; 'binned' maps compare them")
-    if scene.score and scene.score.mask_separation_f_lambda:
-        raise SceneError(f"score.mask_separation_f_lambda: found with map.maker {maker!r}; 'binned' has a masked array")
+    if maker == "iterative" and scene.score and scene.score.mask_separation_f_lambda:
+        raise SceneError(
+            f"score.mask_separation_f_lambda: found with map.maker {maker!r}; other maps have a masked array"
+        )
     if scene.spectra:
         raise SceneError(f"spectra: found with map.maker {maker!r}; 'binned' maps are split")
     if maker == "destriped":

@@ -34,6 +34,11 @@ def weighs_itself(section: MapSection) -> bool:
     return section.maker == "maximum_likelihood"
 
 
+def keeps_large_scales(section: MapSection) -> bool:
+    """Return whether maps have the sky and the noise of the largest scales, so that they are scored less a plane."""
+    return section.maker == "maximum_likelihood"
+
+
 def probe_map(geometry: MapGeometry) -> np.ndarray:
     """White map (n_y, n_x), the same for all observations, that tells the weight of their modes."""
     return np.random.default_rng(0).normal(size=(geometry.n_y, geometry.n_x))

@@ -10,6 +10,7 @@ from mapmaker.kernels.pixels import bin_samples
 from mapmaker.kernels.spectra import scale_mean_removed
 from mapmaker.normal_equations import NormalBlock, add_right_side
 from surveysim.reduction.cleaned_block import block_pixels
+from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.detector_weights import weighted
 from surveysim.reduction.noise_weights import BlockWeights
 from surveysim.reduction.setup import Setup
@@ -67,11 +68,12 @@ def add_simulated(
     white : (n_det,)
         White levels measured on the cleaned streams [mK^2/Hz].
     noise_weights
-        Weights of the blocks of the actual data, in a map that is solved for.
+        Weights of the blocks, in maps that are solved for.
     pixels : (n_det, n_samp)
         Pixels of the samples of an observation of one block; None where they are computed anew.
     """
-    solved, of_blocks = setup.scene.map.solved, {item.block: item for item in noise_weights}
+    solved = setup.scene.map.solved
+    of_blocks = {item.block: item for item in noise_weights if item.data_set == ACTUAL}
     for block, kept in zip(setup.observing.blocks, kept_scans, strict=True):
         pointing = whole.scans(block.first, block.end)
         lost = None if pixels is not None else sample_flags(observed_block(setup, observation, block, whole), watch)

@@ -1,7 +1,7 @@
 """Noise weights of solved maps: measured on the cleaned streams of each block, kept in one file an observation.
 
 The second stage of a run (`surveysim.survey.solution`) points each observation again and reads its weights. A file has
-for each block the kept scans, the detectors, the lost samples and the arrays of N^-1.
+the kept scans, the detectors, the lost samples and the arrays of N^-1 of each block, for the whole and a masked array.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,6 +16,7 @@ from mapmaker.files import atomic_write
 from mapmaker.geometry import boresight_pixels
 from mapmaker.gls import GlsOptions, NoiseModel, ScanNoise, measure_scan_noise
 from mapmaker.normal_equations import NoiseWeight, NormalBlock
+from surveysim.reduction.cleaning_pipelines import ACTUAL, CleaningPipeline
 from surveysim.reduction.setup import Setup
 from surveysim.scene.map_section import MapSection
 from surveysim.scene.scene import survey_hash
@@ -25,10 +26,12 @@ from surveysim.timestreams.simulation import observation_path
 
 @dataclass(frozen=True)
 class BlockWeights:
-    """Noise weights of one block of an observation.
+    """Noise weights of a data set in one block of an observation.
 
     Attributes
     ----------
+    data_set
+        That of a cleaning pipeline.
     block
         Number of the block.
     rows : (n,)
@@ -40,6 +43,7 @@ class BlockWeights:
     noise
     """
 
+    data_set: str
     block: int
     rows: np.ndarray
     bounds: np.ndarray
@@ -62,12 +66,13 @@ def baseline_samples(setup: Setup) -> int:
 
 
 def block_weights(
-    block: Block, rows: np.ndarray | slice, normal: NormalBlock, flags: np.ndarray | None
+    block: Block, pipeline: CleaningPipeline, normal: NormalBlock, flags: np.ndarray | None
 ) -> BlockWeights:
-    """Weights of a block whose detectors `rows` are mapped, with the flags (n_det, n_samp) of all."""
+    """Weights of a block in the map of a pipeline, with the flags (n_det, n_samp) of all detectors."""
+    rows = pipeline.rows
     lost = None if flags is None else flags[rows]
     numbers = np.arange(len(normal.index)) if isinstance(rows, slice) else rows
-    return BlockWeights(block.number, numbers, normal.scan_bounds, lost, normal.noise)
+    return BlockWeights(pipeline.data_set, block.number, numbers, normal.scan_bounds, lost, normal.noise)
 
 
 def noise_options(section: MapSection) -> GlsOptions:
@@ -91,7 +96,7 @@ def save_weights(path: Path, setup: Setup, observation: int, blocks: Sequence[Bl
         arrays = {"rows": item.rows, "bounds": item.bounds, **_arrays(item.noise)}
         if item.lost is not None:
             arrays["lost"] = np.packbits(item.lost, axis=1)
-        content |= {f"{item.block}/{name}": array for name, array in arrays.items()}
+        content |= {f"{item.data_set}/{item.block}/{name}": array for name, array in arrays.items()}
     with atomic_write(path) as partial, open(partial, "wb") as file:
         np.savez(file, **content)
 
@@ -107,13 +112,13 @@ def is_weights_file(path: Path, setup: Setup, observation: int) -> bool:
         return False
 
 
-def normal_blocks(setup: Setup, observation: int, path: Path) -> Iterator[NormalBlock]:
-    """Point an observation again, and yield its blocks with the weights of a file."""
+def normal_blocks(setup: Setup, observation: int, path: Path, data_set: str = ACTUAL) -> Iterator[NormalBlock]:
+    """Point an observation again, and yield its blocks with the weights of a data set in a file."""
     _, whole = observation_path(setup.observing, observation)
     plane, geometry = setup.camera.focal_plane, setup.analysis.geometry
     with np.load(path, allow_pickle=False) as file:
         for block in setup.observing.blocks:
-            prefix = f"{block.number}/"
+            prefix = f"{data_set}/{block.number}/"
             arrays = {name.removeprefix(prefix): file[name] for name in file.files if name.startswith(prefix)}
             if not arrays:
                 continue

@@ -7,19 +7,19 @@ they are drawn in a second pass. Wind cleaning needs the wind of all blocks, so 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from mapmaker.cleaning import Cleaned
 from mapmaker.formats.hdf5 import timestream_file
 from mapmaker.geometry import MapGeometry
 from mapmaker.kernels.pixels import bin_samples
-from mapmaker.normal_equations import add_diagonal, add_normal, add_right_side
+from mapmaker.normal_equations import NormalBlock, add_diagonal, add_normal, add_right_side
 from mapmaker.stream_psd import hann_power, white_level
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaned_block import CleanedBlock, reduce_block
-from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
+from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL, CleaningPipeline
 from surveysim.reduction.detector_weights import weighted
 from surveysim.reduction.figure_of_merit import TARGETS, best_places, figures_of_merit
 from surveysim.reduction.layer_delays import delays_of_all_blocks
@@ -54,8 +54,8 @@ class _Sums:
     (n_det,); number `flagged` of lost samples. Of each block: `kept`, `iterations` and `removed` (n_pipeline, n_scan),
     `lost` (n_scan,) scans, and the number of kept scans with their mean PSD (n_freq,) [mK^2/Hz], before cleaning
     (`raw`) and after the other pipelines (`compared`). `noise_weights` of blocks with a kept scan, of maps that are
-    solved for; `probe` (n_pixel,) is P^T N^-1 P of `probe_map`, of maximum-likelihood maps. `pixels` (n_det, n_samp) of
-    the samples of an observation of one block, None of several.
+    solved for; `probe` by data set (n_pixel,) is P^T N^-1 P of `probe_map`, of maximum-likelihood maps. `pixels`
+    (n_det, n_samp) of the samples of an observation of one block, None of several.
     """
 
     maps: dict[str, Map]
@@ -72,7 +72,7 @@ class _Sums:
     raw: list[tuple[int, np.ndarray]] = field(default_factory=list)
     compared: list[list[tuple[int, np.ndarray]]] = field(default_factory=list)
     noise_weights: list[BlockWeights] = field(default_factory=list)
-    probe: np.ndarray = field(default_factory=partial(np.zeros, 0))
+    probe: dict[str, np.ndarray] = field(default_factory=dict)
     pixels: np.ndarray | None = None
 
 
@@ -131,7 +131,8 @@ def observe(
     total, hits = (np.stack(planes) for planes in zip(*ordered, strict=True))
     weights = np.stack([exposure[name] for name in analysis.data_set_names]) if sums.exposure else hits
     with watch("weights"):
-        of_sets = [_map_noise(sums, analysis, *item) for item in zip(total, weights, hits, strict=True)]
+        alike = zip(analysis.data_set_names, total, weights, hits, strict=True)
+        of_sets = [_map_noise(sums, analysis, *item) for item in alike]
         noise, of_bins = (np.array(part) for part in zip(*of_sets, strict=True))
     removed = np.concatenate(sums.removed, axis=1)
     compared = [mean_psd(list(of_pipeline)) for of_pipeline in zip(*sums.compared, strict=True)]
@@ -194,7 +195,8 @@ def _empty_sums(setup: Setup, with_signal_sims: bool) -> _Sums:
         exposure |= {name: exposure[ACTUAL] for name in names if name not in hits}
     found = _Sums(maps, exposure, signals, empty_split_maps(setup.analysis), power, np.zeros(len(power)))
     if weighs_itself(setup.scene.map):
-        found.probe = np.zeros(n_pixel)
+        found.probe = {name: np.zeros(n_pixel) for name in hits}
+        found.probe |= {name: found.probe[ACTUAL] for name in names if name not in hits}
     return found
 
 
@@ -207,9 +209,14 @@ def _add_part(sums: _Sums, part: CleanedBlock, save: Callable[[CleanedBlock], No
     with watch("pixels"):
         index_of_each = part.index
     sums.pixels = part.pixels if len(setup.observing.blocks) == 1 else None
+    if setup.scene.map.solved:
+        with watch("noise_weights"):
+            normals = part.normal
+        for pipeline, normal, item in zip(part.pipelines, normals, part.cleaned, strict=True):
+            if normal is not None:
+                _add_right_side(sums, part, pipeline, normal, item, watch)
     for pipeline, index, item in zip(part.pipelines, index_of_each, part.cleaned, strict=True):
         if setup.scene.map.solved:
-            _add_right_side(sums, part, watch)
             continue
         with watch("binning"):
             weight, bounds = setup.analysis.weight_of(pipeline.rows), part.streams.scan_bounds
@@ -230,21 +237,19 @@ def _add_part(sums: _Sums, part: CleanedBlock, save: Callable[[CleanedBlock], No
             add_signal_maps(sums.signal_maps, part, setup.analysis.signal_skies_mk)
 
 
-def _add_right_side(sums: _Sums, part: CleanedBlock, watch: Stopwatch) -> None:
+def _add_right_side(
+    sums: _Sums, part: CleanedBlock, pipeline: CleaningPipeline, normal: NormalBlock, item: Cleaned, watch: Stopwatch
+) -> None:
     """Add the cleaned streams of a map that is solved for to its right-hand side, and keep their noise weights."""
-    with watch("noise_weights"):
-        normal = part.normal
-    if normal is None:
-        return
-    setup, [pipeline], [item] = part.setup, part.pipelines, part.cleaned
+    setup = part.setup
     with watch("binning"):
         total, hits = sums.maps[pipeline.data_set]
         add_right_side(normal, item.data_mk, total)
         add_diagonal(normal, sums.exposure[pipeline.data_set], hits)
         if weighs_itself(setup.scene.map):
             probe = probe_map(setup.analysis.geometry).reshape(1, -1).astype(setup.stream_type)
-            add_normal(normal, probe, sums.probe[None])
-    sums.noise_weights.append(block_weights(part.block, pipeline.rows, normal, part.streams.flags))
+            add_normal(normal, probe, sums.probe[pipeline.data_set][None])
+    sums.noise_weights.append(block_weights(part.block, pipeline, normal, part.streams.flags))
 
 
 def _choose(
@@ -267,12 +272,12 @@ def _choose(
 
 
 def _map_noise(
-    sums: _Sums, analysis: AnalysisSetup, total: np.ndarray, weight: np.ndarray, hits: np.ndarray
+    sums: _Sums, analysis: AnalysisSetup, name: str, total: np.ndarray, weight: np.ndarray, hits: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """Noise of the map of one data set, and in each multipole bin."""
     if not weighs_itself(analysis.scene.map):
         return map_noise(analysis.region, total, weight)
-    probe, observed = probe_map(analysis.geometry), sums.probe.reshape(total.shape)
+    probe, observed = probe_map(analysis.geometry), sums.probe[name].reshape(total.shape)
     return weighed_noise(analysis.region, total, hits, probe=probe, observed=observed)
 
 

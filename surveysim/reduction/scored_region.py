@@ -66,6 +66,22 @@ class ScoredRegion:
         padded[..., :n_y, :n_x] = patch
         return padded
 
+    def less_plane(self, patches: np.ndarray) -> np.ndarray:
+        """Patches (..., n, n) less the planes that fit them best under the taper, in the least squares of T m.
+
+        A tapered gradient has power at all multipoles: it would hide the fainter noise of small scales.
+        """
+        shapes = self._planes
+        return patches - np.tensordot(np.tensordot(patches, shapes * self.taper**2, ((-2, -1), (1, 2))), shapes, 1)
+
+    @cached_property
+    def _planes(self) -> np.ndarray:
+        """Constant and two gradients (3, n, n), orthonormal under the square of the taper."""
+        along = np.linspace(-1, 1, len(self.taper))
+        shapes = np.stack(np.broadcast_arrays(1.0, along, along[:, None]))
+        flat = (shapes * self.taper).reshape(3, -1)
+        return np.tensordot(np.linalg.inv(np.linalg.cholesky(flat @ flat.T)), shapes, 1)
+
     @cached_property
     def correlation(self) -> np.ndarray:
         """Correlation (n_bin - 1,) of the measured noise PSDs of neighbouring bins, through the taper."""

@@ -11,7 +11,7 @@ import numpy as np
 from mapmaker.cleaning import Cleaned
 from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.kernels.pixels import bin_samples
-from mapmaker.normal_equations import add_right_side
+from mapmaker.normal_equations import NormalBlock, add_right_side
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaned_block import CleanedBlock
 from surveysim.reduction.cleaning_pipelines import OPTIMAL, AuxiliaryData, CleaningPipeline, apply_pipeline
@@ -43,33 +43,34 @@ def _add_some(signal_maps: np.ndarray, part: CleanedBlock, skies_mk: np.ndarray)
     signals = np.empty((len(skies_mk), *part.data_mk.shape), part.data_mk.dtype)
     write_sky_signal(setup, part.pointing, skies_mk, signals)
     passed = [streams.filled(streams.response.output(*item)) for item in zip(skies_mk, signals, strict=True)]
-    for pipeline, index, base in zip(part.pipelines, part.index, part.cleaned, strict=True):
+    normals = part.normal if setup.scene.map.solved else (None,) * len(part.pipelines)
+    for pipeline, index, base, normal in zip(part.pipelines, part.index, part.cleaned, normals, strict=True):
         kept, differences = _cleaned_signals(part, pipeline, base, passed)
         place = setup.analysis.transfer_function_names.index(pipeline.data_set)
         for maps, keep, *states in zip(signal_maps, kept, signals[:, pipeline.rows], differences, strict=True):
             if setup.scene.map.solved:
-                _add_right_sides(maps[place], part, states, keep)
+                if normal is not None:
+                    _add_right_sides(maps[place], normal, states, streams.scan_bounds[~keep])
                 continue
             weight = setup.analysis.weight_of(pipeline.rows)
             for flat_map, data in zip(maps[place], states, strict=True):
                 bin_samples(weighted(data, weight), index, streams.scan_bounds, keep, flat_map, None)
 
 
-def _add_right_sides(maps: np.ndarray, part: CleanedBlock, states: Sequence[np.ndarray], keep: np.ndarray) -> None:
+def _add_right_sides(maps: np.ndarray, normal: NormalBlock, states: Sequence[np.ndarray], lost: np.ndarray) -> None:
     """Add a signal before cleaning to its map with the weights of the white noise, and after it to its right side.
 
-    The noise weights are of the scans that are kept without the signal; a scan that it loses adds nothing.
+    The noise weights are of the scans that are kept without the signal; scans [start, stop) that it loses, `lost`,
+    add nothing.
     """
-    if part.normal is None:
-        return
     before, after = (data.copy() for data in states)
-    for start, stop in part.streams.scan_bounds[~keep]:
+    for start, stop in lost:
         before[:, start:stop] = after[:, start:stop] = 0
-    bounds = part.normal.scan_bounds
-    for (start, stop), white in zip(bounds, part.normal.noise.white(bounds).T, strict=True):
+    bounds = normal.scan_bounds
+    for (start, stop), white in zip(bounds, normal.noise.white(bounds).T, strict=True):
         before[:, start:stop] *= white[:, None].astype(before.dtype)
-    bin_samples(before, part.normal.index, bounds, np.ones(len(bounds), bool), maps[0], None)
-    add_right_side(part.normal, after, maps[1])
+    bin_samples(before, normal.index, bounds, np.ones(len(bounds), bool), maps[0], None)
+    add_right_side(normal, after, maps[1])
 
 
 def _cleaned_signals(

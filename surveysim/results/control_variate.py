@@ -5,14 +5,15 @@ sigma(A) by the forecast for all weather, divided by the forecast for the simula
 depend on the weather that they happened to draw.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mapmaker.bandpower import bin_weights, flat_band_power
 from mapmaker.uncertainty import information_shares
 from surveysim.forecasting.forecast import Forecast, can_forecast
-from surveysim.forecasting.noise_model import NoiseModel, survey_models
+from surveysim.forecasting.map_makers import single_observations
+from surveysim.forecasting.noise_model import NoiseModel, noise_models, survey_models
 from surveysim.forecasting.observation_weights import expected_weights
 from surveysim.forecasting.observing_conditions import observing_conditions, population_conditions, survey_draws
 from surveysim.reduction.cleaning_pipelines import ACTUAL
@@ -47,12 +48,14 @@ def quoted_scores(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = 
     """Score data sets by name (all by default), with the control variate where there is a forecast.
 
     Sets without a forecast use the control variate of the actual data: any expectation of an observation's information
-    is allowed, as the error includes the remaining scatter. Raises as `surveysim.survey.scores.score_survey`.
+    is allowed, as the error includes the remaining scatter. Maps that are solved for have none: where too few
+    observations tell the error of the drawn weather, it is the one that a forecast expects. Raises as
+    `surveysim.survey.scores.score_survey`.
     """
     scores = score_survey(setup, coadds, names)
     found = controls(setup, coadds)
     if not found:
-        return scores
+        return {name: _in_drawn_weather(setup, item) for name, item in scores.items()}
     return {
         name: controlled_score(setup.analysis, item, found.get(name, found[ACTUAL])) for name, item in scores.items()
     }
@@ -79,6 +82,49 @@ def known_expectations(setup: Setup) -> dict[str, Expectation]:
         return {}
 
 
+def _in_drawn_weather(setup: Setup, item: DataSetScore) -> DataSetScore:
+    """Give the score of a map that is solved for the expected error of the drawn weather, where it has none."""
+    if not setup.scene.map.solved or np.isfinite(item.budget.weather):
+        return item
+    try:
+        variation = expected_variation(setup) if can_forecast(setup) else np.nan
+    except InputError:  # extreme scenes without a forecast
+        return item
+    budget = replace(item.budget, weather=_sampling_error(setup, variation, len(item.weights)))
+    return replace(item, budget=budget, band=replace(item.band, error_ukcmb2=item.band.sigma_ukcmb2 * budget.total))
+
+
+@keep_last(1)
+def expected_variation(setup: Setup) -> float:
+    """Forecast the standard deviation over weather of the observations' information in a map that is solved for, over
+    its mean.
+
+    Raises
+    ------
+    NotForecastableError
+        As `noise_models`.
+    """
+    conditions, n_lists = population_conditions(setup)
+    some = conditions.some(slice(0, len(conditions.sine) // n_lists))
+    model = next(noise_models(setup, some))
+    return _variation(setup, model, single_observations(setup, model.pipeline, some))
+
+
+def _variation(setup: Setup, model: NoiseModel, noise: np.ndarray) -> float:
+    """Standard deviation of the information of draws of noise (n_draw, n_bin), over its mean."""
+    modes, selected = setup.analysis.region.rings.n_modes, setup.analysis.region.selected
+    of_bins = bin_weights(_psd(setup, noise), model.signal_psd, modes, selected)
+    shares = information_shares(expected_weights(setup.analysis, noise), 1.0, noise, of_bins)
+    return float(shares.std() / shares.mean())
+
+
+def _sampling_error(setup: Setup, variation: float, n_obs: int) -> float:
+    """Relative error of sigma from as many observations in random weather."""
+    dated, with_water = setup.air.dated, setup.air.water is not None
+    factor_of_mean = 1.0 if dated is None else dated.sampling_factor(with_water=with_water)
+    return float(variation * np.sqrt(factor_of_mean / n_obs))
+
+
 @keep_last(1)
 def expectations(setup: Setup) -> dict[str, Expectation]:
     """Forecast each data set in expectation over weather.
@@ -96,12 +142,7 @@ def expectations(setup: Setup) -> dict[str, Expectation]:
             raise NotForecastableError("score: found no noise in its multipoles; some is expected")
         parts = [_sigma(setup, model, _psd(setup, part)) for part in np.split(noise, n_lists)]
         error = np.std(parts, ddof=1) / np.sqrt(len(parts)) / np.mean(parts)
-        psd = _psd(setup, noise)
-        of_bins = bin_weights(
-            psd, model.signal_psd, setup.analysis.region.rings.n_modes, setup.analysis.region.selected
-        )
-        shares = information_shares(expected_weights(setup.analysis, noise), 1.0, noise, of_bins)
-        found[model.name] = Expectation(model, psd, float(error), float(shares.std() / shares.mean()))
+        found[model.name] = Expectation(model, _psd(setup, noise), float(error), _variation(setup, model, noise))
     return found
 
 
@@ -141,7 +182,5 @@ def _sigma(setup: Setup, model: NoiseModel, psd: np.ndarray) -> float:
 def _control(setup: Setup, expected: Expectation, noise: np.ndarray) -> Control:
     of_sample = _psd(setup, noise)
     factor = np.divide(expected.psd, of_sample, out=np.ones_like(of_sample), where=of_sample > 0)
-    dated, with_water = setup.air.dated, setup.air.water is not None
-    factor_of_mean = 1.0 if dated is None else dated.sampling_factor(with_water=with_water)
-    sampling = expected.variation * np.sqrt(factor_of_mean / len(noise))
-    return Control(factor, expected_weights(setup.analysis, noise), noise, float(sampling), expected.error)
+    sampling = _sampling_error(setup, expected.variation, len(noise))
+    return Control(factor, expected_weights(setup.analysis, noise), noise, sampling, expected.error)

@@ -10,8 +10,10 @@ import tempfile
 import threading
 import warnings
 from collections.abc import Sequence
+from importlib import import_module
 from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import LazyLoader
+from types import ModuleType
 from typing import Any
 
 from mapmaker.printable import complain
@@ -21,8 +23,10 @@ log = logging.getLogger("surveysim")
 _OF_FLAGS = ("default", "default::BytesWarning", "error::BytesWarning")  # set by -X dev, -b and -bb
 _SIZE = re.compile(r"[1-9][0-9]{1,3}")  # columns or lines
 _temporary_homes: list[str] = []
-# Scipy loads all parts of numpy. These take 0.1 s, and nothing here uses them.
-UNUSED = ("numpy.f2py", "numpy.testing")
+# Scipy loads all parts of numpy, and numba loads YAML. These take 0.1 s, and a run uses none of them.
+UNUSED = ("numpy.f2py", "numpy.testing", "yaml")
+# Numba looks whether scipy has this module, whose package takes 0.05 s; no kernel here calls BLAS.
+PROBED = "scipy.linalg.cython_blas"
 # Allocations between two searches for cycles, 700 by default: imports make many objects and hardly any cycles.
 COLLECT_EVERY = 200_000
 # Numbers of threads of the libraries that numpy may multiply matrices with; they are read when it is imported.
@@ -83,6 +87,7 @@ def postpone_unused() -> None:
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it reads the metadata of all packages for them
     if _OnUse not in sys.meta_path:
         sys.meta_path.insert(0, _OnUse)
+    sys.modules.setdefault(PROBED, _Probed(PROBED))
 
 
 def limit_threads() -> None:
@@ -101,6 +106,18 @@ class _OnUse:
         if spec is not None and spec.loader is not None:
             spec.loader = LazyLoader(spec.loader)
         return spec
+
+
+class _Probed(ModuleType):
+    """Placeholder of a module, which is imported at the first use of one of its names."""
+
+    def __getattr__(self, name: str) -> Any:
+        """Import the module in place of this one; tools that ask all modules for a file or a path get none."""
+        if name.startswith("__") and name != "__pyx_capi__":
+            raise AttributeError(name)
+        if sys.modules.get(PROBED) is self:
+            del sys.modules[PROBED]
+        return getattr(import_module(PROBED), name)
 
 
 class _Lines(logging.Handler):

@@ -21,7 +21,7 @@ from mapmaker.uncertainty import (
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.data_set import DataSet, DataSetKind
-from surveysim.reduction.map_noise import weighs_itself
+from surveysim.reduction.map_noise import keeps_large_scales, weighs_itself
 from surveysim.reduction.scored_region import N_SECTORS
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InsufficientDataError
@@ -291,7 +291,7 @@ def _noise_psds(analysis: AnalysisSetup, coadds: CoAdds, data_set: int, rings: A
     The PSD of a survey goes as one over its observations: of a part it is scaled to the whole.
     """
     patch = analysis.region.patch
-    maps = weighted_mean(coadds.flipped[:, data_set], coadds.weight[data_set][patch, patch])
+    maps = _scored(analysis, weighted_mean(coadds.flipped[:, data_set], coadds.weight[data_set][patch, patch]))
     to_ukcmb = 1e3 * analysis.scene.instrument.cmb_per_rj
     whole = coadds.done / analysis.scene.observations
     weights = noise_weights(coadds.noise_mk2()[:, data_set])
@@ -319,8 +319,14 @@ def flux_removed(analysis: AnalysisSetup, coadds: CoAdds) -> dict[str, float]:
 def _transfer_function(analysis: AnalysisSetup, coadds: CoAdds, place: int, rings: Annuli) -> TransferFunction:
     skies = analysis.scene.score.signal_sims.skies
     maps = weighted_mean(coadds.signal_maps[:skies, place], coadds.signal_weight[place])
+    maps[:, 1] = _scored(analysis, maps[:, 1])
     psd = _psd(analysis, maps, rings)
     return measure_transfer_function(psd[:, 1], psd[:, 0], rings.ell)
+
+
+def _scored(analysis: AnalysisSetup, maps: np.ndarray) -> np.ndarray:
+    """Maps (..., n, n) of the patch as they are scored: of maximum likelihood less a plane."""
+    return analysis.region.less_plane(maps) if keeps_large_scales(analysis.scene.map) else maps
 
 
 def _psd(analysis: AnalysisSetup, patches: np.ndarray, rings: Annuli) -> np.ndarray:

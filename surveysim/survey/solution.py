@@ -17,6 +17,8 @@ import numpy as np
 
 from mapmaker.normal_equations import SolveOptions, add_normal, solve_normal
 from surveysim.reduction.analysis import AnalysisSetup
+from surveysim.reduction.cleaning_pipelines import ACTUAL
+from surveysim.reduction.data_set import DataSet
 from surveysim.reduction.noise_weights import normal_blocks, weights_file
 from surveysim.reduction.setup import Setup, prepare, signal_sim_observations
 from surveysim.runtime.engine import Engine, unordered_map
@@ -32,12 +34,13 @@ Solving = Callable[[str, int], None]  # shows what is solved for, and the number
 
 @dataclass(frozen=True)
 class Chunk:
-    """Observations, the weight of each, and the file of the maps (n_right, n_pixel) that they observe.
+    """Observations of a data set, the weight of each, and the file of the maps (n_right, n_pixel) that they observe.
 
     Maps are in a file because workers wait for the parent to take their results, and it for them to take its items: of
     small items pipes have room for all.
     """
 
+    data_set: str
     observations: tuple[int, ...]
     weights: tuple[float, ...]
     skies: Path
@@ -64,13 +67,22 @@ class NormalJob:
         skies_mk = np.load(chunk.skies)
         total = np.zeros(skies_mk.shape)
         for number, weight in zip(chunk.observations, chunk.weights, strict=True):
-            add_observed(self.setup, self.directory, number, skies_mk * skies_mk.dtype.type(weight), total)
+            skies = skies_mk * skies_mk.dtype.type(weight)
+            add_observed(self.setup, self.directory, number, skies, total, data_set=chunk.data_set)
         return total
 
 
-def add_observed(setup: Setup, directory: Path, observation: int, skies_mk: np.ndarray, total: np.ndarray) -> None:
+def add_observed(
+    setup: Setup,
+    directory: Path,
+    observation: int,
+    skies_mk: np.ndarray,
+    total: np.ndarray,
+    *,
+    data_set: str = ACTUAL,
+) -> None:
     """Add the normal matrix of an observation, applied to maps (n_right, n_pixel), to `total`, in place."""
-    for block in normal_blocks(setup, observation, weights_file(directory, observation)):
+    for block in normal_blocks(setup, observation, weights_file(directory, observation), data_set):
         add_normal(block, skies_mk, total)
 
 
@@ -153,13 +165,18 @@ def solved_coadds(setup: Setup, coadds: CoAdds, directory: Path, engine: Engine,
     carry = signal_sim_observations(setup.scene)[: coadds.done]
     with _workers(setup, directory, engine) as workers:
         solve = partial(_solve, setup, directory, workers=workers, progress=progress)
-        for s, name in enumerate(analysis.data_set_names):
-            solved[:, s], found = solve(name, right[:, s], weights[:, s], coadds.weight[s])
+        for s, item in enumerate(analysis.data_sets):
+            solved[:, s], found = solve(item, item.name, right[:, s], weights[:, s], coadds.weight[s])
             convergence.append(found)
-        if len(signal_maps) and (carry & (weights[:, 0] > 0)).any():
+        for s, item in enumerate(analysis.data_sets):
+            carriers = weights[:, s] * carry
+            if not (item.own_transfer_function and len(signal_maps) and carriers.any()):
+                continue
             # Few observations carry them, which have a normal matrix of their own. Before cleaning they are binned.
-            of_carriers = solve(SIGNAL_SIMS, signal_maps[:, 0, 1], weights[:, 0] * carry, coadds.signal_weight[0])
-            signal_maps[:, 0, 1] = of_carriers[0]
+            place = analysis.transfer_function_index(item.name)
+            name = SIGNAL_SIMS if item.name == ACTUAL else f"{SIGNAL_SIMS} of {item.name}"
+            of_carriers = solve(item, name, signal_maps[:, place, 1], carriers, coadds.signal_weight[place])
+            signal_maps[:, place, 1] = of_carriers[0]
             convergence.append(of_carriers[1])
     whole = replace(coadds, sums=solved[0], flipped=solved[1:], signal_maps=signal_maps, convergence=tuple(convergence))
     return on_scored_patch(analysis, whole)
@@ -177,6 +194,7 @@ def on_scored_patch(analysis: AnalysisSetup, coadds: CoAdds) -> CoAdds:
 def _solve(
     setup: Setup,
     directory: Path,
+    item: DataSet,
     name: str,
     right: np.ndarray,
     weights: np.ndarray,
@@ -185,10 +203,13 @@ def _solve(
     workers: _Workers,
     progress: Solving,
 ) -> tuple[np.ndarray, Convergence]:
-    """Solve for maps (n_right, n_y, n_x) of observations with weights (n_obs,); return maps times weights."""
+    """Solve for maps (n_right, n_y, n_x) of a data set's observations with weights (n_obs,); return maps times weights.
+
+    `name` is what is solved for.
+    """
     used = np.flatnonzero(weights)
     parts = [part for part in np.array_split(used, min(CHUNKS, max(1, len(used)))) if len(part)]
-    applied = 0
+    applied, own = 0, item.pipeline.data_set
 
     def apply(skies_mk: np.ndarray) -> np.ndarray:
         nonlocal applied
@@ -198,7 +219,8 @@ def _solve(
         try:
             with open(path, "wb") as file:
                 np.save(file, skies_mk.astype(setup.stream_type))
-            return workers.total([Chunk(tuple(part.tolist()), tuple(weights[part].tolist()), path) for part in parts])
+            chunks = [Chunk(own, tuple(part.tolist()), tuple(weights[part].tolist()), path) for part in parts]
+            return workers.total(chunks)
         finally:
             path.unlink(missing_ok=True)
 

@@ -15,6 +15,13 @@ CASES = {
         "map.maker": "maximum_likelihood",
         "map.maximum_likelihood.tolerance": 1e-3,
     },
+    "maximum likelihood, readout noise": {
+        "cleaning.algorithm": "none",
+        "map.maker": "maximum_likelihood",
+        "map.maximum_likelihood.tolerance": 1e-3,
+        "readout_noise.detector": {"knee": "0.5 Hz", "slope": 1.5},
+        "readout_noise.array": {"knee": "2 Hz", "slope": 2},
+    },
     "destriped": {
         "cleaning.responsivities": "known",
         "map.maker": "destriped",

@@ -104,6 +104,21 @@ def test_white_noise_has_the_noise_of_a_binned_map(tmp_path):
     assert not each.layer.any() and not each.taken.any()
 
 
+def test_readout_noise_has_its_spectrum(tmp_path):
+    """With a knee of 1 Hz and the slope 1, each detector's own noise has (1 + 1 Hz / f) times its white level."""
+    text = without_sections(UNMASKED, "atmosphere", "excess", "photon", "sky").replace('"average"', '"none"')
+    text += '[readout_noise.detector]\nknee = "1 Hz"\nslope = 1\n'
+    setup = prepare(load_scene(write_scene(tmp_path, text), ML))
+    assert why_no_forecast(setup) is None
+    conditions = observing_conditions(setup, survey_draws(setup, 0, 4))
+    pipeline, options = setup.analysis.pipelines[0], GlsOptions((0.0, np.inf))
+    modes, sums, _ = likelihood_sums(setup, pipeline, conditions, np.ones(4), options)
+    at_hz = np.abs(modes.wave.real) * setup.observing.scans.speed_rad_s / (2 * np.pi)
+    fast = (at_hz > 1.5) & (at_hz < 4)  # the taper averages a convex spectrum, which exceeds 1 / f at lower ones
+    found = (sums.noise / sums.normal**2)[0][fast]
+    np.testing.assert_allclose(found, 12.5 * (1 + 1 / at_hz[fast]), rtol=3e-2)
+
+
 @pytest.mark.parametrize(("maker", "most"), [(ML, 0.7), (DESTRIPED, 0.9)])
 def test_forecasts_of_solved_maps(tmp_path, maker, most):
     """Without cleaning, they have less noise than a binned map, and more signal: the means of scans come back."""

@@ -1,18 +1,23 @@
 """Maps that are solved for, and iterative ones: the right equations, the same bits, nothing lost."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mapmaker.binning import weighted_mean
 from mapmaker.geometry import boresight_pixels
+from mapmaker.normal_equations import add_normal, add_right_side
 from surveysim import load_scene, run
 from surveysim.reduction.cleaned_block import reduce_block
 from surveysim.reduction.noise_weights import normal_blocks, weights_file
 from surveysim.reduction.setup import prepare
+from surveysim.results.control_variate import expected_variation, quoted_scores
 from surveysim.runtime.engine import SERIAL, Engine
 from surveysim.runtime.errors import InputError, SceneError
 from surveysim.survey.checkpoint import CheckpointError
 from surveysim.survey.run import finished_sums, run_observations
+from surveysim.survey.scores import score_survey
 from surveysim.timestreams.observation import Stopwatch
 from surveysim.timestreams.simulation import observation_path
 from tests.scenes import write_scene
@@ -84,6 +89,34 @@ def test_maps_solve_the_normal_equations_of_the_streams(solved):
     assert np.ptp(sky[coadds.weight[0].ravel() > 0]) > 0
 
 
+def test_maximum_likelihood_maps_are_scored_less_a_plane(solved):
+    """A gradient of the noise, or of what cleaning leaves of the sky, changes the scores of destriped maps alone."""
+    setup, _, coadds = solved
+    rows, columns = np.indices(setup.analysis.region.taper.shape)
+    plane = 3.0 + 0.2 * rows - 0.1 * columns
+    signal_maps = coadds.signal_maps.copy()
+    signal_maps[:, :, 1] += 1e-3 * plane * coadds.signal_weight
+    patch = setup.analysis.region.patch
+    flipped = coadds.flipped + plane * coadds.weight[:, patch, patch]
+    assert (coadds.weight[0, patch, patch] > 0).all() and (coadds.signal_weight > 0).all()
+    tilted = score_survey(setup, replace(coadds, flipped=flipped, signal_maps=signal_maps))["actual"]
+    plain = score_survey(setup, coadds)["actual"]
+    same_noise = np.isclose(tilted.noise_psd, plain.noise_psd, rtol=1e-6)
+    same_signal = np.isclose(tilted.transfer_function.transmission, plain.transfer_function.transmission, rtol=1e-6)
+    expected = setup.scene.map.maker == "maximum_likelihood"
+    assert same_noise.all() == same_signal.all() == expected
+
+
+def test_few_observations_have_the_error_of_the_weather_that_a_forecast_expects(solved):
+    setup, _, coadds = solved
+    plain, quoted = score_survey(setup, coadds)["actual"], quoted_scores(setup, coadds)["actual"]
+    assert coadds.done == 4 and np.isnan(plain.band.error_ukcmb2)
+    assert quoted.budget.weather == pytest.approx(expected_variation(setup) / 2)
+    assert 0.05 < quoted.budget.weather < 0.5
+    assert quoted.band.error_ukcmb2 == pytest.approx(quoted.budget.total * plain.band.sigma_ukcmb2)
+    assert quoted.band.sigma_ukcmb2 == plain.band.sigma_ukcmb2
+
+
 @pytest.mark.slow
 def test_bits_do_not_depend_on_workers_or_resumption(solved, tmp_path):
     setup, checkpoint, coadds = solved
@@ -138,6 +171,35 @@ def test_noise_only_sets_are_solved_with_the_same_weights(tmp_path):
     assert [item.name for item in both.convergence] == ["actual", "uncorrelated", "white", "signal simulations"]
 
 
+@pytest.mark.parametrize("maker", [pytest.param("destriped", marks=pytest.mark.slow), "maximum_likelihood"])
+def test_a_masked_array_has_a_map_of_its_own(maker, tmp_path):
+    """Its equations have its detectors' streams and weights; those of the actual data are the same as without it."""
+    settings = {**SOLVED[maker], "observations": 2, "score.signal_sims.observations": 2}
+    masked = prepare(scene(tmp_path, settings, **{"score.mask_separation_f_lambda": 1.3}))
+    _, data_set = masked.analysis.data_set_names
+    found = run_observations(masked, tmp_path / "checkpoint.h5")
+    alone = run_observations(prepare(scene(tmp_path, settings)), None)
+    np.testing.assert_array_equal(found.sums[0], alone.sums[0])
+    np.testing.assert_array_equal(found.signal_maps[:, 0], alone.signal_maps[:, 0])
+    expected = ["actual", data_set, "signal simulations", f"signal simulations of {data_set}"]
+    assert [item.name for item in found.convergence] == expected
+    sky, noise = weighted_mean(found.sums, found.weight)[1].reshape(1, -1), found.noise_mk2()[:, 1]
+    right, seen = np.zeros(sky.shape), np.zeros(sky.shape)
+    for number, weight in enumerate(1 / noise if maker == "destriped" else (1.0, 1.0)):
+        _, pointing = observation_path(masked.observing, number)
+        [block] = masked.observing.blocks
+        part = reduce_block(masked, number, pointing, block, delays_s_rad=None, watch=Stopwatch())
+        [normal] = normal_blocks(masked, number, weights_file(tmp_path / "noise_weights", number), data_set)
+        np.testing.assert_array_equal(normal.index, part.index[1])
+        add_right_side(normal, weight * part.cleaned[1].data_mk.astype(float), right)
+        add_normal(normal, weight * sky, seen)
+    assert 1 < len(normal.index) < masked.camera.n_det
+    assert np.linalg.norm(seen - right) < 2e-4 * np.linalg.norm(right)
+    scores = score_survey(masked, found)
+    assert scores[data_set].noise_psd[-1] > scores["actual"].noise_psd[-1]
+    assert scores[data_set].transfer_function.transmission[-1] > 0.7
+
+
 def test_unconverged_maps_are_flagged(tmp_path):
     settings = {**SOLVED["destriped"], "map.destriped.max_iterations": 1, "observations": 2}
     result = run(scene(tmp_path, settings), engine=SERIAL)
@@ -174,8 +236,6 @@ def test_passes_that_are_interrupted_go_on(tmp_path):
 
 def test_streams_less_the_bright_sky(tmp_path):
     """What is cleaned differs from the streams by the sky at the pixel of each sample."""
-    from dataclasses import replace
-
     setup = prepare(scene(tmp_path, ITERATIVE))
     geometry, rng = setup.analysis.geometry, np.random.default_rng(1)
     sky = rng.normal(size=(geometry.n_y, geometry.n_x))
