@@ -24,7 +24,7 @@ def _of_section(section: type[Section], before: str) -> Iterator[str]:
         if any(schema.get("format") == FILE for schema in schemas):
             yield key
         for part in parts:
-            if isinstance(part, type) and issubclass(part, Section):
+            if isinstance(part, type) and issubclass(part, Section) and part is not Scene:  # of other bands
                 yield from _of_section(part, f"{key}.")
 
 
