@@ -157,8 +157,11 @@ def _bar(name: str, total: int, left: TimeLeft, console: "Terminal", length: int
         def show(done: int, status: Callable[[], str], left_s: float | None = None) -> None:
             nonlocal said
             left.add(done, left_s)
+            bar.start()  # again, if a pass over the survey has ended
             bar.update(task, completed=done)
-            if monotonic() - said > STATUS_EVERY_S:
+            if done == total:
+                bar.stop()  # its thread ends: a process of one thread draws figures beside another
+            elif monotonic() - said > STATUS_EVERY_S:
                 bar.update(task, status=status())
                 said = monotonic()
 

@@ -1,16 +1,14 @@
 """Files of a finished run: summary, resolved scene, tables, maps and figures, each written atomically."""
 
-import gc
-import logging
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from warnings import catch_warnings, simplefilter
 
 from mapmaker.binning import BinnedMap, write_fits, write_healpix
 from mapmaker.files import atomic_write, write_ecsv
+from surveysim.output.drawings import Drawings, draw
 from surveysim.output.expected_files import SCORES, point_directory
 from surveysim.output.sky import write_sky
 from surveysim.output.spectra import write_spectra
@@ -30,7 +28,6 @@ from surveysim.results.summary import summary
 from surveysim.runtime.provenance import made_by, now
 from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.table import Table
-from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import resolved, scene_hash
 from surveysim.studies.budget.result import BudgetResult
 from surveysim.studies.budget.summary import budget_summary
@@ -51,12 +48,6 @@ if TYPE_CHECKING:
     from surveysim.forecasting.forecast import Forecast
     from surveysim.studies.convergence import AccuracyResult
     from surveysim.studies.stress import Case, Outcome
-
-
-Drawings = dict[str, Callable[[Path], Any]]  # what draws a figure as a PNG, by its name
-
-REASON = 120  # letters of the reason why a figure can't be drawn
-log = logging.getLogger("surveysim")
 
 
 def write_outputs(
@@ -260,50 +251,16 @@ def write_summary(
     files, warnings = list(written), list(content.get("warnings", ()))
     _write_record(directory, content, files)
     try:
-        _draw(directory / "figures", figures, files, warnings)
+        draw(directory / "figures", figures, files, warnings)
     finally:  # an interrupt too
         if figures:
             _write_record(directory, content | {"warnings": warnings}, files)
     write_report(directory)
 
 
-def _draw(directory: Path, figures: Callable[[], Drawings] | None, files: list[Path], warnings: list[str]) -> None:
-    """Draw what can be drawn; adds to the `files`, or to the `warnings`."""
-    try:
-        drawings = figures() if figures else {}
-    except Exception as error:  # of a library for figures that can't be loaded
-        warnings.append(undrawn("figures", error))
-        return
-    gc.freeze()  # collections after each figure then skip all objects but those of figures
-    try:
-        for name, draw in drawings.items():
-            _draw_one(directory / f"{name}.png", draw, files, warnings)
-    finally:
-        gc.unfreeze()
-
-
-def _draw_one(path: Path, draw: Callable[[Path], None], files: list[Path], warnings: list[str]) -> None:
-    try:
-        with catch_warnings():
-            simplefilter("ignore")  # of letters that no font has, and labels that have no room
-            draw(path)
-    except Exception as error:  # matplotlib raises a wide range: of fonts, formulas, sizes
-        warnings.append(undrawn(f"figure {path.stem!r}", error))
-    else:
-        files.append(path)
-
-
 def _write_record(directory: Path, content: dict[str, Any], written: Iterable[Path]) -> None:
     files = sorted(path.relative_to(directory).as_posix() for path in (*written, directory / REPORT))
     write_text(directory / "summary.json", strict_json(content | {"files": files}, indent=2) + "\n")
-
-
-def undrawn(what: str, error: Exception) -> str:
-    """Warn that something could not be drawn; returns the line."""
-    told = f": {one_line(error, REASON)}" if str(error).strip() else ""
-    line = f"{what} can't be drawn ({type(error).__name__}{told}); all else is written"
-    log.warning(line)
-    return line
 
 
 def write_forecast(directory: Path, forecast: "Forecast") -> Path:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from mapmaker.files import atomic_write
 from surveysim.output.directory import OutputDirectory, claimed, finish
+from surveysim.output.drawings import undrawn
 from surveysim.output.expected_files import of_paper
-from surveysim.output.writer import undrawn
 from surveysim.paper.manifest import earlier_runs, write_record
 from surveysim.paper.measured_survey import MeasuredSurvey, measure_survey
 from surveysim.paper.scenes import NEEDS, Wanted
