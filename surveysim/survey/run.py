@@ -270,7 +270,9 @@ def _run_missing(
     alone = engine.kind != "dask" and engine.workers_for(len(missing)) == 1
     single = stops is not None or alone or node_bytes(setup) > LARGE_SUMS
     n_obs = setup.scene.observations
-    spans = Spans(missing, single=single, each_s=work_s(setup, n_obs) / n_obs)
+    # On a cluster single observations show first whether its workers can do the work.
+    each_s = work_s(setup, n_obs) / n_obs if engine.kind == "processes" else None
+    spans = Spans(missing, single=single, each_s=each_s)
     # Workers elsewhere may have another working directory.
     streams, weights = (None if folder is None else folder.absolute() for folder in folders)
     angles = setup.observing.angles if missing and engine.kind == "processes" else None
