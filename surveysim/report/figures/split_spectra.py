@@ -11,7 +11,7 @@ _APART = 0.12  # of a bin, between the points of two splits
 
 
 def split_spectra(spectra: SurveySpectra) -> Figure:
-    """Draw the reported band powers over those of the simulated sky, and the null tests in units of their errors."""
+    """Draw the reported band powers beside those of the simulated sky, and the null tests in units of their errors."""
     figure = new_figure(10, 4.6)
     left, right = figure.subplots(1, 2)
     item = spectra.reported
