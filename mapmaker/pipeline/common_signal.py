@@ -25,20 +25,25 @@ def compare_with_others(
     Returns
     -------
     (n_row,), (n_row,) arrays
-        Correlations, and gains: the fitted amplitudes of the mean of the others. 0 where they are unknown.
+        Correlations, and gains: the fitted amplitudes of the mean of the others, medians over the scans, so that a
+        planet in some of them changes nothing. 0 where they are unknown.
     """
-    product, square, of_others = np.zeros((3, len(rows)))
-    for start, stop in bounds:
+    products, squares, squares_of_others = np.zeros((3, len(bounds), len(rows)))
+    for s, (start, stop) in enumerate(bounds):
         good = ~lost[rows, start:stop]
         own = np.where(good, data_mk[rows, start:stop], 0).astype(float)
         own = np.where(good, own - (own.sum(axis=1) / np.maximum(1, good.sum(axis=1)))[:, None], 0)
         others = np.where(good, own.sum(axis=0) - own, 0) / np.maximum(1, good.sum(axis=0) - 1)
-        product += np.einsum("in,in->i", own, others)
-        square += np.einsum("in,in->i", own, own)
-        of_others += np.einsum("in,in->i", others, others)
-    sizes = np.sqrt(square * of_others), of_others
-    correlations, gains = (np.divide(product, size, out=np.zeros(len(size)), where=size > 0) for size in sizes)
-    return correlations, gains
+        products[s] = np.einsum("in,in->i", own, others)
+        squares[s] = np.einsum("in,in->i", own, own)
+        squares_of_others[s] = np.einsum("in,in->i", others, others)
+    sizes = np.sqrt(squares.sum(axis=0) * squares_of_others.sum(axis=0))
+    gains = np.ma.divide(products, np.ma.masked_equal(squares_of_others, 0))
+    return _ratio(products.sum(axis=0), sizes), np.ma.median(gains, axis=0).filled(0.0)
+
+
+def _ratio(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    return np.divide(part, whole, out=np.zeros(len(part)), where=whole > 0)
 
 
 def strangers(correlations: np.ndarray, gains: np.ndarray) -> np.ndarray:

@@ -97,6 +97,19 @@ def test_detectors_without_the_common_signal(drift):
         assert np.flatnonzero(found).tolist() == [9] * (drift > 0)
 
 
+def test_a_planet_in_some_scans_hides_no_common_signal():
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        bounds = np.array([[start, start + 600] for start in range(0, 6000, 600)])
+        data = rng.standard_normal((40, 6000)) + 0.1 * np.cumsum(rng.standard_normal(6000))
+        for row in data[:10]:
+            for start in (1800, 2400):
+                at = start + rng.integers(50, 500)
+                row[at : at + 7] += 1e4
+        found = compare_with_others(data, np.zeros(data.shape, bool), bounds, np.arange(40))
+        assert not strangers(*found).any()
+
+
 def test_noise_levels():
     rng = np.random.default_rng(6)
     data, lost = 3.0 * rng.standard_normal((40, 5000)), rng.random((40, 5000)) < 0.1
