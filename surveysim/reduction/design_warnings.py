@@ -27,6 +27,7 @@ from surveysim.timestreams.simulation import boresight_path, camera_white, obser
 
 MOST_APART = 0.02  # of two conversions to CMB temperature
 MOST_LOST = 0.2  # of the samples
+MOST_UNLIKE = 0.05  # of two apertures
 FEWEST_IN_PART = 8  # observations, whose random signs know the noise of a part to about an eighth
 MOST_FILTERED = 0.01  # of the white noise
 LONG_GAP = 10  # in a track, in typical steps
@@ -146,6 +147,21 @@ def _off_boresight(setup: Setup) -> str:
     return (
         f"instrument: the middle of the array is {_arcmin(offset)} off the boresight, beyond its own half width of"
         f" {_arcmin(reach)}; the telescope points at the field's centre with the boresight."
+    )
+
+
+def _two_apertures(setup: Setup) -> str:
+    """Compare the aperture that the layer is seen through with that of the optics, or its beam where that is wider."""
+    scene = setup.scene
+    if not setup.air.layers or scene.optics is None or scene.optics.aperture_m is None:
+        return ""
+    found, aperture = scene.atmosphere.illuminated_aperture_m, scene.optics.aperture_m
+    spread = scene.atmosphere.layer_height_m * _narrowest(setup)
+    if aperture * (1 - MOST_UNLIKE) <= found <= math.hypot(aperture, spread) * (1 + MOST_UNLIKE):
+        return ""
+    return (
+        f"atmosphere.illuminated_aperture: pixels see the layer with {found:.4g} m, and optics.aperture is"
+        f" {aperture:.4g} m; they are seldom unlike."
     )
 
 
@@ -281,6 +297,7 @@ CHECKS: tuple[Callable[[Setup], str], ...] = (
     _coverage,
     _turning_raster,
     _off_boresight,
+    _two_apertures,
     _unused_optics,
     _unused_angle,
     _unused_efficiency,

@@ -70,6 +70,12 @@ CASES = {
         },
         "score.white_noise_above: filters of cleaning.algorithm remove 14 % of the noise above 2.5 Hz, and",
     ),
+    # The beam of 60 arcsec is 0.29 m wide at the layer.
+    "two apertures": (
+        {"optics.aperture": "9 m"},
+        {"optics.aperture": "8.3 m"},
+        "atmosphere.illuminated_aperture: pixels see the layer with 8 m, and optics.aperture is 9 m; they are seldom",
+    ),
     "sampling": (
         {"scan.sample_rate": "7.9 Hz"},
         {"scan.sample_rate": "8 Hz"},
@@ -102,7 +108,7 @@ CASES = {
     ),
     "optics": (
         {"optics.elements": [ELEMENT]},
-        {"optics.aperture": "10 m"},
+        {"optics.aperture": "8 m"},
         "photon.psd: it sets the photon noise, and sky, stop and elements of [optics] do not enter",
     ),
     "angle": (
