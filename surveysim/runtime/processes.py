@@ -22,7 +22,7 @@ from surveysim.runtime.interrupt_signals import defer_signals, hide_main_module,
 from surveysim.runtime.items import Answer, Items
 from surveysim.runtime.memory import keep_freed_memory
 from surveysim.runtime.messages import receive, send
-from surveysim.runtime.worker_loss import LOSSES_ALLOWED, log, too_many_losses
+from surveysim.runtime.worker_loss import LOSSES_ALLOWED, EngineError, log, too_many_losses
 
 TAKEN_AHEAD = 2  # items that wait at a worker, so that it does not wait for the parent
 # Not forked from this process: a fork of a process with threads can hang. Where there is a fork server, its workers
@@ -156,8 +156,11 @@ def _start(job: Callable[[Any], Any]) -> _Worker:
     context: Any = multiprocessing.get_context(METHOD)
     ours, theirs = socket.socketpair()
     process = context.Process(target=_work, args=(pickle.dumps(job), theirs), daemon=True)
-    with ignore_sigint_in_children(), hide_main_module():
-        process.start()
+    try:
+        with ignore_sigint_in_children(), hide_main_module():
+            process.start()
+    except (EOFError, ConnectionError):
+        raise EngineError("the process that starts workers is gone, or was killed for want of memory") from None
     theirs.close()  # held by the worker alone: its end closes with it
     return _Worker(process, ours)
 

@@ -252,3 +252,12 @@ def test_quick_work_stays_in_this_process_unless_workers_are_asked_for():
     for engine in (TWO, DASK, SERIAL, Engine("dask")):
         assert engine.for_work(quick=True) == engine
     assert Engine().for_work(quick=False) == Engine()
+
+
+def test_a_fork_server_that_is_gone_is_one_line(monkeypatch):
+    def lost(process):
+        raise EOFError("unexpected EOF")
+
+    monkeypatch.setattr("multiprocessing.context.ForkServerProcess.start", lost)
+    with pytest.raises(EngineError, match="the process that starts workers is gone"):
+        list(ordered_map(square_alone, range(4), Engine("processes", workers=2)))
