@@ -32,6 +32,7 @@ from surveysim.reduction.signal_maps import add_signal_maps, empty_signal_maps, 
 from surveysim.reduction.split_maps import add_split_maps, empty_split_maps, scored_split_maps
 from surveysim.reduction.stream_psds import cleaned_power, cleaned_psd, mean_psd, psd_scale, sampled_scans
 from surveysim.runtime.once import keep_last
+from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.observation import Stopwatch
 from surveysim.timestreams.observed_block import observation_weather
@@ -107,20 +108,7 @@ def observe(
     psd = sums.power / np.where(sums.sampled > 0, sums.sampled, 1)[:, None] * scale
     white = np.full(len(psd), np.nan)
     if setup.scene.score:
-        n, rate = samples_per_scan(setup.observing.scans), setup.observing.scans.sample_rate_hz
-        white = white_level(psd, n, rate, setup.scene.score.white_noise_above_hz)
-        add_simulated(
-            sums.maps,
-            sums.kept,
-            setup,
-            observation,
-            pointing,
-            psd=psd,
-            white=white,
-            noise_weights=sums.noise_weights,
-            pixels=sums.pixels,
-            watch=watch,
-        )
+        white = _add_noise_only(sums, setup, observation, pointing, psd, watch)
     if weights_path is not None:
         save_weights(weights_path, setup, observation, sums.noise_weights)
     analysis = setup.analysis
@@ -198,6 +186,27 @@ def _empty_sums(setup: Setup, with_signal_sims: bool) -> _Sums:
         found.probe = {name: np.zeros(n_pixel) for name in hits}
         found.probe |= {name: found.probe[ACTUAL] for name in names if name not in hits}
     return found
+
+
+def _add_noise_only(
+    sums: _Sums, setup: Setup, observation: int, pointing: Pointing, psd: np.ndarray, watch: Stopwatch
+) -> np.ndarray:
+    """Add the noise-only sets, from PSDs (n_det, n_freq) [mK^2/Hz] of the data; returns white levels (n_det,)."""
+    scans = setup.observing.scans
+    white = white_level(psd, samples_per_scan(scans), scans.sample_rate_hz, setup.scene.score.white_noise_above_hz)
+    add_simulated(
+        sums.maps,
+        sums.kept,
+        setup,
+        observation,
+        pointing,
+        psd=psd,
+        white=white,
+        noise_weights=sums.noise_weights,
+        pixels=sums.pixels,
+        watch=watch,
+    )
+    return white
 
 
 def _add_part(sums: _Sums, part: CleanedBlock, save: Callable[[CleanedBlock], None], watch: Stopwatch) -> None:

@@ -106,7 +106,7 @@ class SurveySpectra:
 
 @dataclass(frozen=True)
 class _Measure:
-    """What all splits of a survey are measured with."""
+    """Scene, mode coupling, transfer function and spectrum that the measurements of all splits have in common."""
 
     setup: Setup
     coupling: ModeCoupling
