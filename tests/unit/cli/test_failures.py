@@ -30,9 +30,8 @@ def fail(monkeypatch, tmp_path, capsys, handlers):
 
         before = set(tmp_path.iterdir())
         monkeypatch.setattr("surveysim.scene.scene.load_scene", load)
-        monkeypatch.setattr("surveysim.studies.sweep.bands.is_band_sweep", lambda path: False)
-        monkeypatch.setattr("surveysim.studies.sweep.axes.is_sweep", lambda path: False)
-        monkeypatch.setattr("surveysim.scene.bands.has_bands", lambda path: False)
+        monkeypatch.setattr("surveysim.scene.kinds.is_sweep", lambda path: False)
+        monkeypatch.setattr("surveysim.scene.kinds.has_bands", lambda path: False)
         code = ended(["check", f"a{EVIL}.toml"])
         text = capsys.readouterr()
         return code, text.out, text.err.splitlines(), sorted(set(tmp_path.iterdir()) - before)
