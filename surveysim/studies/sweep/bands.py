@@ -58,11 +58,14 @@ def load_band_sweep(
     return MultiBandSweep(base.name, base.title, origin, found)
 
 
+def sweeps_of(sweep: Sweep | MultiBandSweep) -> Mapping[str, Sweep]:
+    """Sweeps by band; of a camera of one band, its only sweep without a name."""
+    return {"": sweep} if isinstance(sweep, Sweep) else sweep.bands
+
+
 def sweep_points(sweep: Sweep | MultiBandSweep) -> tuple[Point, ...]:
     """All points of a sweep, of all bands."""
-    if isinstance(sweep, Sweep):
-        return sweep.points
-    return tuple(point for item in sweep.bands.values() for point in item.points)
+    return tuple(point for item in sweeps_of(sweep).values() for point in item.points)
 
 
 def band_sweep_hash(sweep: MultiBandSweep) -> str:

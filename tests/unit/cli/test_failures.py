@@ -116,7 +116,7 @@ def test_interrupt_that_became_another_error(fail, monkeypatch, error):
 
 
 def test_interrupted_while_a_command_runs(monkeypatch, capsys, handlers, tmp_path):
-    monkeypatch.setattr("surveysim.cli.scenes.sweep_of", lambda *arguments: signal.raise_signal(signal.SIGTERM))
+    monkeypatch.setattr("surveysim.cli.checks.sweep_of", lambda *arguments: signal.raise_signal(signal.SIGTERM))
     assert ended(["check", "a.toml"]) == 130
     assert capsys.readouterr() == ("", "interrupted\n")
 
