@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.chunks import row_chunks
-from mapmaker.geometry import MapGeometry, boresight_pixels
+from mapmaker.geometry import MapGeometry, boresight_pixels, pixel_homography
 from mapmaker.timestreams import FocalPlane
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.setup import Setup
@@ -34,7 +34,7 @@ def pointed_samples(pointing: Pointing, used: np.ndarray) -> tuple[np.ndarray, n
 
 def mean_hits(setup: Setup, pipeline: CleaningPipeline) -> np.ndarray:
     """Mean hits of one observation on the scored patch (n, n), from a sample of observations over the survey."""
-    from mapmaker.kernels.pixels import count_samples
+    from mapmaker.kernels.pixels import count_samples, plane_pixels
 
     n_obs, geometry = setup.scene.observations, setup.analysis.geometry
     plane: FocalPlane = setup.camera.focal_plane.subset(pipeline.rows)
@@ -46,9 +46,11 @@ def mean_hits(setup: Setup, pipeline: CleaningPipeline) -> np.ndarray:
     hits = np.zeros(geometry.n_x * geometry.n_y, np.int64)
     for number in numbers:
         path, pointing = observation_path(setup.observing, int(number))
-        boresight = pointed_samples(pointing, samples_in_maps(path, every))
-        for rows in row_chunks(len(plane.x_rad), len(boresight[0])):
-            count_samples(boresight_pixels(geometry, *boresight, plane=plane.subset(rows)), hits)
+        used = samples_in_maps(path, every)
+        place = pixel_homography(geometry, *pointed_samples(pointing, used), first=0.0)
+        for rows in row_chunks(len(plane.x_rad), len(used)):
+            index = plane_pixels(place, plane.x_rad[rows], plane.y_rad[rows], geometry.n_x, geometry.n_y)
+            count_samples(index, hits)
     patch = setup.analysis.region.patch
     return hits.reshape(geometry.n_y, geometry.n_x)[patch, patch] * every / len(numbers)
 

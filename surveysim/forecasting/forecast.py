@@ -36,6 +36,7 @@ from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.scored_region import left_signal
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import NotForecastableError
+from surveysim.runtime.memory import keep_freed_memory
 from surveysim.survey.discarded_scans import REMEDY
 from surveysim.timestreams.component import present_components
 from surveysim.timestreams.expected_losses import sampled_share
@@ -132,6 +133,7 @@ def forecast(setup: Setup, kept: dict[str, np.ndarray] | None = None) -> Forecas
         For a scene without [score], with a first cleaning that is not in `PROJECTIONS`, or without noise or scans to
         score.
     """
+    keep_freed_memory()
     scene = setup.scene
     if scene.score is None:
         raise NotForecastableError("score: missing; a forecast predicts the score of a map")

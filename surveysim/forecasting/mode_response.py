@@ -26,8 +26,8 @@ import numpy as np
 from mapmaker.cleaning.templates import AVERAGE, PLANAR, QUADRATIC, template_basis
 from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.thin_screen import Screen, at_elevation, beam_transfer, power
+from surveysim.forecasting.mode_kernels import unit_phases
 from surveysim.telescope.lattice_noise import NoiseCorrelation
-from surveysim.telescope.pixel_coherence import MOST_DENSE
 
 # Templates of the cleaning algorithms that are a fixed projection once the responsivities are known. Two are so nearly:
 # the shifts of "wind" move templates by about a sample, and PCA removes about one mode, which is nearly the average.
@@ -100,10 +100,15 @@ class ProjectedArray:
     basis: np.ndarray
     weight: np.ndarray
 
+    @property
+    def projection(self) -> tuple[np.ndarray, np.ndarray]:
+        """Factors (n_det, n_par) and (n_par, n_det) of P."""
+        return self.assumed[:, None] * self.basis.T, self.basis / self.assumed
+
     def cleaned(self, streams: np.ndarray) -> np.ndarray:
         """Apply 1 - P to values (n_det, ...)."""
-        gain = self.assumed[:, None]
-        return streams - gain * (self.basis.T @ (self.basis @ (streams / gain)))
+        left, right = self.projection
+        return streams - left @ (right @ streams)
 
     def response(self, wave: np.ndarray) -> np.ndarray:
         """Array response a (n_det, n_mode) to modes (n_mode,)."""
@@ -111,12 +116,25 @@ class ProjectedArray:
 
     def respond(self, phases: np.ndarray) -> np.ndarray:
         """Array response a (n_det, n_mode) to modes with some phase factors."""
-        phase, gain = phases * self.weight[:, None], self.assumed[:, None]
-        return phase - (self.basis.T @ (self.basis @ (phase * gain))) / gain
+        phase, (left, right) = phases * self.weight[:, None], self.projection
+        return phase - right.T @ (left.T @ phase)
 
     def phases(self, wave: np.ndarray) -> np.ndarray:
         """Phase factors exp(i k.r), (n_det, n_mode)."""
-        return np.exp(1j * (np.outer(self.place.real, wave.real) + np.outer(self.place.imag, wave.imag)))
+        found = np.empty((len(self.place), len(wave)), complex)
+        unit_phases(*_components(self.place), *_components(wave), found)
+        return found
+
+    def seen(self, wave: np.ndarray) -> np.ndarray:
+        """Amplitudes (n_det, n_mode) of waves in the streams, in single precision: those of a response are double, as
+        cleaning takes most of it away.
+        """
+        return self.phases(wave).astype(np.complex64) * self.responsivity[:, None].astype(np.float32)
+
+
+def _components(vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Components along x and y of complex vectors (n,)."""
+    return np.ascontiguousarray(vector.real), np.ascontiguousarray(vector.imag)
 
 
 def projected_array(
@@ -164,7 +182,7 @@ def matrix_power(response: np.ndarray, correlation: np.ndarray | NoiseCorrelatio
     Parameters
     ----------
     response : (n_det, n_mode)
-        Array response a.
+        Array response a, whose precision is that of the product with K.
     correlation
         Correlation K between the detectors; None for independent ones.
 
@@ -172,33 +190,37 @@ def matrix_power(response: np.ndarray, correlation: np.ndarray | NoiseCorrelatio
     -------
     (n_mode,) array
     """
-    if isinstance(correlation, np.ndarray):  # a real product takes half the time of a complex one
-        spread = (correlation @ np.ascontiguousarray(response).view(np.float64)).view(np.complex128)
+    parts = _parts(response)  # a real product takes half the time of a complex one
+    if isinstance(correlation, np.ndarray):
+        spread = correlation.astype(parts.dtype, copy=False) @ parts
     else:
-        spread = response if correlation is None else correlation @ response
-    return np.einsum("ij,ij->j", response.conj(), spread).real / len(response)
+        spread = parts if correlation is None else _parts(correlation @ response)
+    squares = np.sum(parts * spread, axis=0, dtype=float)
+    return squares.reshape(-1, 2).sum(axis=1) / len(response)
+
+
+def _parts(values: np.ndarray) -> np.ndarray:
+    """Real and imaginary parts (n, 2 m), side by side, of complex values (n, m)."""
+    return np.ascontiguousarray(values).view(values.real.dtype)
 
 
 def stream_power(array: ProjectedArray, correlation: np.ndarray | NoiseCorrelation | None) -> float:
     """Mean PSD of the cleaned and weighted streams of detectors with unit PSD and a correlation (None: independent)."""
     n_det = len(array.place)
-    if correlation is None and n_det > MOST_DENSE:
+    if correlation is None:
         correlation = NoiseCorrelation(None, np.ones(n_det))
-    if isinstance(correlation, NoiseCorrelation):
-        return float(np.mean((array.weight * correlation.gain) ** 2)) - _projected_power(array, correlation) / n_det
-    matrix = np.eye(n_det) if correlation is None else correlation
-    once = array.cleaned(matrix)
-    return float(array.weight**2 @ np.diag(array.cleaned(once.T)) / n_det)
+    own = np.diag(correlation) if isinstance(correlation, np.ndarray) else correlation.gain**2
+    return float(array.weight**2 @ own - _projected_power(array, correlation)) / n_det
 
 
-def _projected_power(array: ProjectedArray, correlation: NoiseCorrelation) -> float:
-    """Trace that cleaning removes from W K W, W the weights: with ``P = U V^T``, the trace of ``W (P K + K P^T - P K
-    P^T) W``.
+def _projected_power(array: ProjectedArray, correlation: np.ndarray | NoiseCorrelation) -> float:
+    """Trace that cleaning removes from W K W, W the weights: with ``P = U V``, the trace of ``W (P K + K P^T - P K P^T)
+    W``.
     """
-    gain = array.assumed[:, None]
-    u, v = array.weight[:, None] * gain * array.basis.T, array.basis.T / gain
-    kv = correlation @ v
-    return float(2 * np.sum(array.weight[:, None] * u * kv) - np.sum((v.T @ kv) * (u.T @ u)))
+    u, v = array.projection
+    u = array.weight[:, None] * u
+    kv = correlation @ v.T
+    return float(2 * np.sum(array.weight[:, None] * u * kv) - np.sum((v @ kv) * (u.T @ u)))
 
 
 @dataclass(frozen=True)
@@ -208,7 +230,7 @@ class LayerWaves:
     Attributes
     ----------
     alpha : (n_a,)
-        Complex wavevectors [cycles/rad].
+        Complex wavevectors [cycles/rad]; those of the second half are opposite to those of the first.
     power : (n_sine, n_a)
         Variance of each at some elevations.
     shift_hz, shift_share : (n_shift,)
@@ -219,6 +241,11 @@ class LayerWaves:
     power: np.ndarray
     shift_hz: np.ndarray
     shift_share: np.ndarray
+
+    @property
+    def half(self) -> np.ndarray:
+        """The first half of `alpha`: opposite waves have conjugate phases."""
+        return self.alpha[: len(self.alpha) // 2]
 
 
 def layer_waves(
@@ -243,10 +270,10 @@ def layer_waves(
     """
     edge = np.geomspace(0.02 / longest_rad, 12 / (screen.beam_rad * min(sines)), _RADII)
     # Every other radius starts between the azimuths of its neighbours.
-    angle = 2 * np.pi / _AZIMUTHS * (np.arange(_AZIMUTHS) + 0.5 * (np.arange(_RADII) % 2)[:, None])
+    angle = 2 * np.pi / _AZIMUTHS * (np.arange(_AZIMUTHS // 2) + 0.5 * (np.arange(_RADII) % 2)[:, None])
     power = np.array([_ring_power(at_elevation(screen, sine), edge) for sine in sines])
-    alpha, shifts = (edge[:, None] * np.exp(1j * angle)).ravel(), evolution_shifts(decorrelation_time_s)
-    return LayerWaves(alpha, np.repeat(power, _AZIMUTHS, axis=1), *shifts)
+    half, of_half = (edge[:, None] * np.exp(1j * angle)).ravel(), np.repeat(power, _AZIMUTHS // 2, axis=1)
+    return LayerWaves(np.append(half, -half), np.tile(of_half, 2), *evolution_shifts(decorrelation_time_s))
 
 
 def evolution_shifts(time_s: float | None) -> tuple[np.ndarray, np.ndarray]:
@@ -291,9 +318,11 @@ def layer_gain(
 
     Gains of the detectors with independent errors of some variance add independent noise with the layer's spectrum.
     """
-    seen = array.phases(2 * np.pi * layer.alpha) * array.responsivity[:, None]
-    amplitude = response.conj().T @ seen
-    gain = (amplitude.real**2 + amplitude.imag**2) / len(array.place)
+    of_mode, of_wave = _parts(response), _parts(array.seen(2 * np.pi * layer.half))
+    product = (of_mode.T @ of_wave).reshape(response.shape[1], 2, -1, 2)
+    (real, crossed), (other, imaginary) = product.transpose(1, 3, 0, 2).astype(float)
+    gain = np.hstack([(real + sign * imaginary) ** 2 + (crossed - sign * other) ** 2 for sign in (1, -1)])
+    gain /= len(array.place)
     if gain_variance:
         gain += gain_variance * matrix_power(response * array.responsivity[:, None], None)[:, None]
     return gain
@@ -304,8 +333,9 @@ def layer_stream_gain(array: ProjectedArray, layer: LayerWaves, gain_variance: f
 
     Errors of the gains enter as in `layer_gain`.
     """
-    left = array.cleaned(array.phases(2 * np.pi * layer.alpha) * array.responsivity[:, None]) * array.weight[:, None]
-    gain = np.mean(left.real**2 + left.imag**2, axis=0)
+    seen = array.phases(2 * np.pi * layer.half) * array.responsivity[:, None]
+    left = array.cleaned(seen) * array.weight[:, None]
+    gain = np.tile(np.mean(left.real**2 + left.imag**2, axis=0), 2)
     if gain_variance:
         gain += gain_variance * stream_power(array, NoiseCorrelation(None, array.responsivity))
     return gain

@@ -192,7 +192,7 @@ class MapBins(NoiseBins):
     Attributes
     ----------
     responses
-        Response (n_det, n_mode) of each array to the modes.
+        Response (n_det, n_mode) of each array to the modes, in single precision.
     pixel : (n_bin,)
         Window of the map's pixels.
     """
@@ -205,10 +205,10 @@ class MapBins(NoiseBins):
         at_hz = self.frequencies.at_hz
         kept = []
         for array, response in zip(self.arrays, self.responses, strict=True):
-            seen = array.phases(self.frequencies.modes.wave.ravel()) * array.responsivity[:, None]
+            seen = array.seen(self.frequencies.modes.wave.ravel())
             if self.filters is not None:
                 seen = seen * self.filters.signal(at_hz)
-            kept.append(np.einsum("ij,ij->j", response.conj(), seen) / (array.responsivity @ array.weight))
+            kept.append(np.sum(response.conj() * seen, axis=0, dtype=complex) / (array.responsivity @ array.weight))
         return np.mean(kept, axis=0) * self.frequencies.apodization.signal_amplitude(at_hz)
 
     def _mean(self, powers: list[np.ndarray], leakage: np.ndarray) -> np.ndarray:

@@ -143,7 +143,8 @@ def map_bins(
         "independent": independent_noise(shapes, pipeline),
         "filters": stream_filters(setup, pipeline),
         "gain_variance": gain_variance(setup, pipeline, conditions),
-        "responses": [_crosstalked(setup, pipeline, array.response(wave)) for array in arrays],
+        # Double precision until cleaning has taken most of a response away.
+        "responses": [_crosstalked(setup, pipeline, array.response(wave)).astype(np.complex64) for array in arrays],
         "pixel": pixel_window(ell, setup.analysis.geometry.pixel_rad),
     }
     tracks, of_scans = track_motions(setup), (setup.observing.scans, setup.scene.score, ell)

@@ -383,7 +383,7 @@ def removed_modes(
     for layer, amplitude, motions in zip(setup.air.layers, levels.layers, levels.motions, strict=True):
         motion = np.median(np.abs(motions))
         waves = layer_waves(layer.strips.screen, motion * seconds, [np.median(levels.sine)])
-        common = array.phases(2 * np.pi * waves.alpha).mean(axis=0)
+        common = np.tile(array.phases(2 * np.pi * waves.half).mean(axis=0), 2)
         frequencies.append((waves.alpha * motion).real)
         powers.append(np.median(amplitude) * waves.power[0] * (common.real**2 + common.imag**2))
     waves_of_all = np.concatenate(frequencies), np.concatenate(powers)

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from mapmaker.geometry import pixel_indices
 from mapmaker.timestreams import FocalPlane
 from mapmaker.transfer_function import beam_window, pixel_window
-from surveysim.api import run
+from surveysim import run
 from surveysim.forecasting.forecast import forecast
 from surveysim.forecasting.mode_response import projected_array, stream_power
 from surveysim.forecasting.observing_conditions import (
@@ -392,7 +392,7 @@ def test_forecast_of_unequal_noise(scene_with):
         .scores["actual"]
         .noise_psd
     )
-    np.testing.assert_allclose(unequal, equal, rtol=1e-9)
+    np.testing.assert_allclose(unequal, equal, rtol=1e-7)  # responses are in single precision
     settings |= {"scan.scans": 19, "scan.step": "2 arcmin", "scan.duration": "12 s", "score.size": "36 arcmin"}
     settings |= {"score.ell_bin": 1000, "score.jackknives": 32, "map.pixel": "20 arcsec", "observations": 8}
     result = run(scene_with({"psd": spread}, settings), engine=SERIAL)

@@ -32,9 +32,8 @@ def fail(monkeypatch, tmp_path, capsys, handlers):
 
         before = set(tmp_path.iterdir())
         monkeypatch.setattr("surveysim.scene.scene.load_scene", load)
-        monkeypatch.setattr("surveysim.studies.sweep.bands.is_band_sweep", lambda path: False)
-        monkeypatch.setattr("surveysim.studies.sweep.axes.is_sweep", lambda path: False)
-        monkeypatch.setattr("surveysim.scene.bands.has_bands", lambda path: False)
+        monkeypatch.setattr("surveysim.scene.kinds.is_sweep", lambda path: False)
+        monkeypatch.setattr("surveysim.scene.kinds.has_bands", lambda path: False)
         code = ended(["check", f"a{EVIL}.toml"])
         text = capsys.readouterr()
         return code, text.out, text.err.splitlines(), sorted(set(tmp_path.iterdir()) - before)
@@ -137,7 +136,7 @@ def test_interrupt_that_became_the_loss_of_workers(monkeypatch, capsys, handlers
 
 
 def test_interrupted_while_a_command_runs(monkeypatch, capsys, handlers, tmp_path):
-    monkeypatch.setattr("surveysim.cli.scenes.sweep_of", lambda *arguments: signal.raise_signal(signal.SIGTERM))
+    monkeypatch.setattr("surveysim.cli.checks.sweep_of", lambda *arguments: signal.raise_signal(signal.SIGTERM))
     assert ended(["check", "a.toml"]) == 130
     assert capsys.readouterr() == ("", "interrupted\n")
 

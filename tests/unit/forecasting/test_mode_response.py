@@ -10,7 +10,7 @@ from mapmaker.geometry import sky_offsets
 from mapmaker.spectrum import tukey
 from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.thin_screen import Screen, structure_function
-from surveysim.forecasting.mode_kernels import apodized_sums
+from surveysim.forecasting.mode_kernels import apodized_sums, unit_phases
 from surveysim.forecasting.mode_response import (
     LayerWaves,
     evolution_shifts,
@@ -178,6 +178,15 @@ def test_places_are_the_sky_offsets():
     np.testing.assert_allclose(array.place, np.array(sky_vector(angle, plane.x_rad, plane.y_rad)).T @ [1, 1j])
 
 
+@pytest.mark.parametrize(("largest", "atol"), [(6.0, 2e-15), (1e4, 4e-12)])
+def test_unit_phases_are_exponentials(largest, atol):
+    """Angles are rounded to 1e-16 of themselves, some three times."""
+    angle = np.concatenate([np.arange(-8, 9) * np.pi / 4, np.linspace(-1, 1, 999) * largest, [1e-12, -1e-12]])
+    found, unit = np.empty((len(angle), 2), complex), np.array([1.0, 0.5])
+    unit_phases(angle, angle, unit, 1 - unit, found)
+    np.testing.assert_allclose(found, np.exp(1j * np.array([angle, angle])).T, rtol=0, atol=atol)
+
+
 @pytest.mark.parametrize("algorithm", ORDERS)
 def test_response_is_the_adjoint_of_the_cleaning(algorithm):
     plane, wave = camera(), waves()
@@ -236,10 +245,11 @@ def test_layer_gain_is_the_double_sum(algorithm):
     algorithm = "average" if algorithm == "quadratic" else algorithm  # of seven, six templates leave next to nothing
     array = projected_array(plane, 0.4, responsivity=gain, algorithm=algorithm)
     left = naive.cleaning_matrix(plane.x_rad, plane.y_rad, gain, ORDERS[algorithm])
-    layer = LayerWaves(waves(4) / 10, np.ones((1, 4)), np.zeros(1), np.ones(1))
+    layer = LayerWaves(np.append(waves(4), -waves(4)) / 10, np.ones((1, 8)), np.zeros(1), np.ones(1))
     expected = naive.layer_gain(array.place, gain, left, wave, layer.alpha)
     found = layer_gain(array, array.response(wave), layer)
-    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9 * expected.max())
+    # Amplitudes in single precision are right to 1e-7, and responses are below 1.
+    np.testing.assert_allclose(np.sqrt(found), np.sqrt(expected), rtol=1e-6, atol=1e-7)
     streams = left @ (gain[:, None] * array.phases(2 * np.pi * layer.alpha))
     np.testing.assert_allclose(layer_stream_gain(array, layer), np.mean(np.abs(streams) ** 2, axis=0), atol=1e-12)
 
@@ -252,12 +262,13 @@ def test_wrong_responsivities_are_those_of_the_projection_alone(algorithm):
     array = projected_array(plane, 0.4, responsivity=gain, algorithm=algorithm, assumed=assumed)
     left = naive.cleaning_matrix(plane.x_rad, plane.y_rad, assumed, ORDERS[algorithm])
     np.testing.assert_allclose(array.response(wave), left.conj().T @ array.phases(wave), atol=1e-9)
-    layer = LayerWaves(waves(4) / 10, np.ones((1, 4)), np.zeros(1), np.ones(1))
+    layer = LayerWaves(np.append(waves(4), -waves(4)) / 10, np.ones((1, 8)), np.zeros(1), np.ones(1))
     expected = naive.layer_gain(array.place, gain, left, wave, layer.alpha)
     found = layer_gain(array, array.response(wave), layer)
-    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9 * expected.max())
+    # Amplitudes in single precision are right to 1e-7, and responses are below 1.
+    np.testing.assert_allclose(np.sqrt(found), np.sqrt(expected), rtol=1e-6, atol=1e-7)
     # Of a layer that all detectors see alike, the error times the layer is left.
-    flat = LayerWaves(np.array([1e-9 + 0j]), np.ones((1, 1)), np.zeros(1), np.ones(1))
+    flat = LayerWaves(np.array([1e-9 + 0j, -1e-9]), np.ones((1, 2)), np.zeros(1), np.ones(1))
     rms = np.sqrt(np.mean((left @ gain) ** 2))
     assert np.sqrt(layer_stream_gain(array, flat)[0]) == pytest.approx(rms, rel=1e-6)
     assert stream_power(array, None) == pytest.approx(np.trace(left @ left.T) / 7, rel=1e-12)
