@@ -115,7 +115,7 @@ def test_interrupt_that_became_another_error(fail, monkeypatch, error):
 
 def test_interrupt_that_was_lost(monkeypatch, capsys, handlers):
     """As in a finalizer: the command goes on to its end, and its exit code says so."""
-    monkeypatch.setattr("surveysim.cli.scenes.sweep_of", lost_interrupt)
+    monkeypatch.setattr("surveysim.cli.checks.sweep_of", lost_interrupt)
     assert ended(["check", "a.toml"]) == 130
     assert capsys.readouterr() == ("", "interrupted too late: the command is finished\n")
 
