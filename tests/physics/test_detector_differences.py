@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from mapmaker.geometry import pixel_indices
 from mapmaker.timestreams import FocalPlane
 from mapmaker.transfer_function import beam_window, pixel_window
-from surveysim.api import run
+from surveysim import run
 from surveysim.forecasting.forecast import forecast
 from surveysim.forecasting.mode_response import projected_array, stream_power
 from surveysim.forecasting.observing_conditions import (
@@ -22,7 +22,7 @@ from surveysim.forecasting.observing_conditions import (
 )
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare
-from surveysim.results.results import forecast_agreement
+from surveysim.results.agreement import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene

@@ -7,11 +7,11 @@ import textwrap
 import numpy as np
 import pytest
 
-from surveysim.api import run, simulate_observation
+from surveysim import run, simulate_observation
 from surveysim.forecasting.forecast import forecast
 from surveysim.forecasting.mode_response import matrix_power, projected_array
 from surveysim.reduction.setup import prepare
-from surveysim.results.results import forecast_agreement
+from surveysim.results.agreement import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
@@ -230,7 +230,7 @@ def test_horns_fit_between_their_neighbours(scene_of):
 
 _BIG = """
     import resource
-    from surveysim.api import simulate_observation
+    from surveysim import simulate_observation
     from surveysim.forecasting.forecast import forecast
     from surveysim.reduction.setup import prepare
     from surveysim.scene.scene import load_scene

@@ -10,7 +10,7 @@ import pytest
 from mapmaker.geometry import sky_offsets
 from mapmaker.spectrum import tukey
 from mapmaker.timestreams import FocalPlane
-from surveysim.api import run
+from surveysim import run
 from surveysim.atmosphere.screen_simulation import StripCache, add_atmosphere, strip_step
 from surveysim.atmosphere.thin_screen import Screen
 from surveysim.forecasting import mode_response as response
@@ -20,7 +20,7 @@ from surveysim.forecasting.noise_model import noise_models
 from surveysim.forecasting.observing_conditions import observing_conditions, survey_draws
 from surveysim.forecasting.scan_apodization import scan_apodization
 from surveysim.reduction.setup import prepare
-from surveysim.results.results import forecast_agreement
+from surveysim.results.agreement import forecast_agreement
 from surveysim.results.summary import summary
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError

@@ -4,8 +4,8 @@ from functools import cache
 
 import pytest
 
-from surveysim.api import run
-from surveysim.results.results import forecast_agreement
+from surveysim import run
+from surveysim.results.agreement import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
 from tests.scenes import SMALL_SCENE, WIDE_PATCH, with_scan, without_sections

@@ -118,11 +118,6 @@ class Sweep:
         return self.points[0].scene.name
 
 
-def is_sweep(path: str | Path) -> bool:
-    """Return whether a scene file has a table [sweep]; raises SceneError if it cannot be read."""
-    return "sweep" in read_scene(find_scene(path))[1]
-
-
 def load_sweep(
     path: str | Path, overrides: Mapping[str, Any] | None = None, reference: int | str | None = None
 ) -> Sweep:

@@ -13,7 +13,7 @@ from surveysim.scene.bands import TABLE, band_key, bands_of, has_key, of_each_ba
 from surveysim.scene.scene import Origin, Scene, read_scene
 from surveysim.scene.shipped import find_scene
 from surveysim.scene.units import file_value
-from surveysim.studies.sweep.axes import Axis, Point, Sweep, is_sweep, sweep_along, sweep_axes, sweep_hash
+from surveysim.studies.sweep.axes import Axis, Point, Sweep, sweep_along, sweep_axes, sweep_hash
 
 
 @dataclass(frozen=True)
@@ -32,11 +32,6 @@ class MultiBandSweep:
     def path(self) -> Path:
         """Path of the file."""
         return self.origin.path
-
-
-def is_band_sweep(path: str | Path) -> bool:
-    """Return whether a scene file has tables [sweep] and [bands.NAME]; raises SceneError if it cannot be read."""
-    return is_sweep(path) and TABLE in read_scene(find_scene(path))[1]
 
 
 def load_band_sweep(
