@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from surveysim.scene.bands import has_bands, load_bands
+from surveysim.scene.bands import load_bands
+from surveysim.scene.kinds import has_bands
 from surveysim.scene.scene import Scene, load_scene
 from tests.scenes import SMALL_SCENE, without_sections
 

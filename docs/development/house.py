@@ -20,7 +20,7 @@ ROOT = Path(__file__).parent.parent.parent
 PACKAGES = ("mapmaker", "surveysim")
 QUESTIONS = ("What ", "How ", "Which ", "Where ")
 MOST_POSITIONAL = 5
-FACE = "surveysim.api"
+FACES = ("surveysim.api.public", "surveysim.api")  # the second in older commits
 # Functions that the main flow passes through; some have another name in older commits.
 MAIN_FLOW = {
     "scene": ("load_scene",),
@@ -162,13 +162,14 @@ def main_flow(trees: Trees, imports: dict[str, set[str]]) -> tuple[set[str], lis
         for node in tree.body
         if isinstance(node, Function) and any(node.name in names for names in MAIN_FLOW.values())
     }
-    flow, missing = {FACE}, []
+    face = next(name for name in FACES if name in trees)
+    flow, missing = {face}, []
     for step, names in MAIN_FLOW.items():
         home = next((homes[name] for name in names if name in homes), None)
         if home is None:
             missing.append(step)
         else:
-            flow |= set(chain(imports, FACE, home))
+            flow |= set(chain(imports, face, home))
     return flow, missing
 
 

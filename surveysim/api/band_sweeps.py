@@ -7,16 +7,16 @@ from pathlib import Path
 from time import perf_counter
 
 from surveysim.api.surveys import PROCESSES
-from surveysim.api.sweeps import forecast_single_sweep, plan_single_sweep, run_single_sweep
+from surveysim.api.sweeps import forecast_single_sweep, run_single_sweep
 from surveysim.output.directory import FinishedError, begin, claimed, remove_nested, replacing
-from surveysim.output.expected_files import band_directory, of_band_sweep, of_sweep
+from surveysim.output.expected_files import band_directory
+from surveysim.output.expected_study_files import of_band_sweep, of_sweep
 from surveysim.output.record import Results
-from surveysim.output.writer import write_band_sweep
+from surveysim.output.study_writer import write_band_sweep
 from surveysim.runtime.engine import Engine
 from surveysim.studies.sweep.axes import Sweep
 from surveysim.studies.sweep.band_results import MultiBandSweepResult
 from surveysim.studies.sweep.bands import MultiBandSweep, load_band_sweep
-from surveysim.studies.sweep.plan import SweepPlan
 from surveysim.studies.sweep.result import SweepResult
 from surveysim.studies.sweep.rounds import CONFIDENCE, SweepLimits
 from surveysim.studies.sweep.summary import sweep_summary
@@ -84,14 +84,6 @@ def forecast_band_sweep(
 
     shown = display or (lambda item: nullcontext(progress))
     return _each_band(sweep, out, work, shown, command="forecast", results=results, resume=False, force=force)
-
-
-def plan_band_sweep(
-    sweep: MultiBandSweep | str | Path, workers: int | None = None, *, start_s: float = 0.0
-) -> dict[str, SweepPlan]:
-    """Predict the cost of the sweep of each band, by name; parameters are those of `surveysim.plan_sweep`."""
-    sweep = sweep if isinstance(sweep, MultiBandSweep) else load_band_sweep(sweep)
-    return {name: plan_single_sweep(item, workers, start_s=start_s) for name, item in sweep.bands.items()}
 
 
 def _each_band(

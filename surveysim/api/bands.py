@@ -5,10 +5,10 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from time import perf_counter
 
-from surveysim.api.surveys import PROCESSES, finished_survey, forecast_survey, plan_survey, run_survey
+from surveysim.api.surveys import PROCESSES, finished_survey, forecast_survey, run_survey
+from surveysim.output.band_writer import write_band_forecasts, write_bands
 from surveysim.output.directory import FinishedError, begin, claimed, remove_nested, replacing
 from surveysim.output.expected_files import band_directory, of_bands, of_run
-from surveysim.output.writer import write_band_forecasts, write_bands
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.results.bands import MultiBandForecast, MultiBandResult
 from surveysim.results.results import SurveyResult
@@ -16,11 +16,10 @@ from surveysim.results.stopping import StoppingCriteria, check_limits
 from surveysim.runtime.engine import Engine
 from surveysim.runtime.errors import InputError, NotForecastableError, SceneError
 from surveysim.scene.bands import MultiBandScene, load_bands, of_each_band
+from surveysim.scene.kinds import is_sweep
 from surveysim.scene.metrics import SIGMA_KEY
 from surveysim.scene.scene import Scene
 from surveysim.scene.shipped import find_scene
-from surveysim.studies.resources import Plan
-from surveysim.studies.sweep.axes import is_sweep
 from surveysim.survey.coadd_tree import CoAddTree
 
 Progress = Callable[[CoAddTree], None]
@@ -143,14 +142,6 @@ def forecast_bands(
         with replacing(place) as new:
             write_band_forecasts(new, result)
     return result
-
-
-def plan_bands(
-    scenes: MultiBandScene | str | Path, workers: int | None = None, *, start_s: float = 0.0
-) -> dict[str, Plan]:
-    """Predict the cost of a run of each band, by name; parameters and errors are those of `surveysim.plan`."""
-    scenes = checked_bands(scenes)
-    return {name: plan_survey(scene, workers, start_s=start_s) for name, scene in scenes.bands.items()}
 
 
 def checked_bands(scenes: MultiBandScene | str | Path) -> MultiBandScene:

@@ -10,8 +10,8 @@ from threadpoolctl import threadpool_limits
 from surveysim.api.surveys import PROCESSES
 from surveysim.api.sweeps import DRAWS_SEED
 from surveysim.output.directory import begin, claimed, replacing
-from surveysim.output.expected_files import of_budget
-from surveysim.output.writer import write_budget
+from surveysim.output.expected_study_files import of_budget
+from surveysim.output.study_writer import write_budget
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL, Engine
 from surveysim.runtime.errors import NotForecastableError

@@ -6,8 +6,8 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from surveysim.output.directory import claimed, replacing
-from surveysim.output.expected_files import of_comparison
-from surveysim.output.writer import write_comparison
+from surveysim.output.expected_study_files import of_comparison
+from surveysim.output.study_writer import write_comparison
 from surveysim.studies.compare.comparison import RunComparison, compare_finished
 from surveysim.studies.compare.finished_run import read_runs
 

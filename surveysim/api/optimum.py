@@ -12,8 +12,8 @@ from threadpoolctl import threadpool_limits
 from surveysim.api.surveys import PROCESSES
 from surveysim.api.sweeps import DRAWS_SEED
 from surveysim.output.directory import begin, claimed, remove_nested, replacing
-from surveysim.output.expected_files import of_optimise
-from surveysim.output.writer import write_optimum
+from surveysim.output.expected_study_files import of_optimise
+from surveysim.output.study_writer import write_optimum
 from surveysim.runtime.engine import Engine
 from surveysim.studies.optimise.evaluation import EvaluationJob
 from surveysim.studies.optimise.optimum import Found, search_optimum

@@ -18,13 +18,12 @@ from surveysim.reduction.setup import Setup, is_quick, prepare
 from surveysim.results.control_variate import known_expectations
 from surveysim.results.results import SurveyResult, survey_result
 from surveysim.results.stopping import StoppingCriteria, check_limits, stopping_rule
-from surveysim.runtime.engine import SERIAL, Engine, default_workers, defer_signals
+from surveysim.runtime.engine import SERIAL, Engine, defer_signals
 from surveysim.runtime.errors import InputError, SceneError
+from surveysim.scene.kinds import is_sweep
 from surveysim.scene.metrics import SIGMA_KEY
 from surveysim.scene.scene import Scene, load_scene
 from surveysim.scene.shipped import find_scene
-from surveysim.studies.resources import Plan, make_plan
-from surveysim.studies.sweep.axes import is_sweep
 from surveysim.survey.bright_sky import FILE as BRIGHT_SKY
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 from surveysim.survey.checkpoint import WEIGHTS
@@ -158,11 +157,6 @@ def forecast_survey(scene: Scene | str | Path, out: str | Path | None = None, *,
         with claimed(Path(out), of_forecast(scene), force) as place, replacing(place) as new:
             write_forecast(new, found)
     return found
-
-
-def plan_survey(scene: Scene | str | Path, workers: int | None = None, *, start_s: float = 0.0) -> Plan:
-    """Predict the cost of a run of one band; parameters and errors are those of `surveysim.plan`."""
-    return make_plan(prepare(scene_as_given(scene)), workers or default_workers(), start_s)
 
 
 def scene_as_given(scene: Scene | str | Path) -> Scene:

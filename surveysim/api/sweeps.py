@@ -10,11 +10,11 @@ from threadpoolctl import threadpool_limits
 
 from surveysim.api.surveys import PROCESSES
 from surveysim.output.directory import begin, claimed, remove_nested, replacing
-from surveysim.output.expected_files import of_sweep
+from surveysim.output.expected_study_files import of_sweep
 from surveysim.output.point_writer import PointWriter, check_points
-from surveysim.output.writer import write_sweep
+from surveysim.output.study_writer import write_sweep
 from surveysim.reduction.setup import prepare
-from surveysim.runtime.engine import SERIAL, Engine, default_workers
+from surveysim.runtime.engine import SERIAL, Engine
 from surveysim.studies.sweep.axes import Sweep, load_sweep
 from surveysim.studies.sweep.comparison import (
     Comparison,
@@ -25,7 +25,6 @@ from surveysim.studies.sweep.comparison import (
     run_points,
     run_stages,
 )
-from surveysim.studies.sweep.plan import SweepPlan, make_sweep_plan
 from surveysim.studies.sweep.point_run import Stage
 from surveysim.studies.sweep.point_store import PointResult
 from surveysim.studies.sweep.result import SweepResult
@@ -49,7 +48,7 @@ def run_single_sweep(
 ) -> SweepResult:
     """Run all points of a sweep of one band; parameters and errors are those of `surveysim.run_sweep`."""
     start = perf_counter()
-    sweep = _sweep(sweep)
+    sweep = sweep_as_given(sweep)
     limits = None if target_error is None else SweepLimits(target_error, confidence)
     work = SweepWork(sweep, limits, engine, resume, progress)
 
@@ -125,7 +124,7 @@ def forecast_single_sweep(
 ) -> SweepResult:
     """Forecast all points of a sweep of one band; parameters and errors are those of `surveysim.run_sweep`."""
     start = perf_counter()
-    sweep = _sweep(sweep)
+    sweep = sweep_as_given(sweep)
 
     def result_of() -> SweepResult:
         points = forecast_points(sweep, progress)
@@ -143,10 +142,6 @@ def forecast_single_sweep(
     return result
 
 
-def plan_single_sweep(sweep: Sweep | str | Path, workers: int | None = None, *, start_s: float = 0.0) -> SweepPlan:
-    """Predict the cost of a sweep of one band; parameters and errors are those of `surveysim.plan_sweep`."""
-    return make_sweep_plan(_sweep(sweep), workers or default_workers(), start_s)
-
-
-def _sweep(sweep: Sweep | str | Path) -> Sweep:
+def sweep_as_given(sweep: Sweep | str | Path) -> Sweep:
+    """Return a sweep as it is given, or load it."""
     return sweep if isinstance(sweep, Sweep) else load_sweep(sweep)

@@ -7,7 +7,7 @@ import typer
 from mapmaker.cli.plain import PlainCommand
 from mapmaker.printable import say
 from surveysim import __version__
-from surveysim.cli import budgets, compare, optimise, runs, scenes, studies, tracks
+from surveysim.cli import budgets, checks, compare, optimise, runs, scenes, studies, tracks
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -25,8 +25,8 @@ COMMANDS = (
     runs.plan,
     studies.paper,
     scenes.report,
-    scenes.check,
-    scenes.optics,
+    checks.check,
+    checks.optics,
     tracks.track,
     scenes.keys,
     scenes.new,

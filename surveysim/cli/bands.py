@@ -33,7 +33,7 @@ def run_bands(
 ) -> None:
     """Run all bands and print their results."""
     engine.start_early()
-    from surveysim import api
+    from surveysim.api.bands import run_bands as run_all
     from surveysim.cli.progress import announce_compilation
     from surveysim.report.terminal.bands import print_bands
 
@@ -42,7 +42,7 @@ def run_bands(
     if not quiet and engine.scheduler is None:
         announce_compilation(scenes.name)
     with report_resumable_exit(scenes.path, directory):
-        result = api.run_bands(
+        result = run_all(
             scenes,
             directory,
             engine=engine,
@@ -82,11 +82,11 @@ def forecast_bands(
     scenes: "MultiBandScene", directory: Path | None, *, force: bool, verbose: bool, quiet: bool
 ) -> None:
     """Forecast all bands and print their scores."""
-    from surveysim import api
+    from surveysim.api.bands import forecast_bands as forecast_all
     from surveysim.report.terminal.bands import print_band_forecasts
 
     try:
-        found = api.forecast_bands(scenes, directory, force=force)
+        found = forecast_all(scenes, directory, force=force)
     except NotForecastableError as error:
         fail(f"{scenes.path}: {error}")
     if not quiet:

@@ -68,10 +68,10 @@ def budget(
         report_new_start(directory, "points", "")
     if not forecast:
         with_engine.start_early()
-    from surveysim import api
+    from surveysim.api.budgets import budget as measure
     from surveysim.cli.progress import announce_compilation, equal_work, sweep_display
     from surveysim.output.directory import claimed
-    from surveysim.output.expected_files import of_budget
+    from surveysim.output.expected_study_files import of_budget
     from surveysim.report.terminal.budget import print_budget, print_budget_plan
     from surveysim.studies.sweep.plan import make_sweep_plan
 
@@ -86,7 +86,7 @@ def budget(
         print_budget_plan(ready, make_sweep_plan(ready.sweep, n_workers, process_time()), n_workers)
     with report_resumable_exit(scene, directory), sweep_display(ready.name, work, quiet, n_workers) as progress:
         try:
-            result = api.budget(
+            result = measure(
                 ready,
                 directory,
                 simulate=not forecast,

@@ -25,7 +25,7 @@ def compare(
     Settings that differ, scores with paired errors and spectra are read from their directories. Ratios are to the first
     run.
     """
-    from surveysim.api import compare as compare_runs
+    from surveysim.api.comparisons import compare as compare_runs
     from surveysim.report.terminal.compare import print_comparison
 
     result = compare_runs(directories, out, figures=not no_figures, force=force)

@@ -54,7 +54,7 @@ def optimise(
     directory = out or default_directory(f"{problem.scene.name}_optimise", given)
     if resume and not quiet:
         report_new_start(directory, "designs", " design")
-    from surveysim.api import optimise as optimise_scene
+    from surveysim.api.optimum import optimise as optimise_scene
     from surveysim.cli.progress import announce_compilation, sweep_display
     from surveysim.report.terminal.optimum import print_optimum
 

@@ -163,25 +163,27 @@ def sweep_of(path: Path, given: list[str] | None, reference: str | None = None) 
     """Load, check and prepare the sweep of a scene file that has one; raises SceneError for a reference without a
     sweep.
     """
-    from surveysim.studies.sweep.axes import is_sweep, load_sweep
-    from surveysim.studies.sweep.bands import is_band_sweep, load_band_sweep
+    from surveysim.scene.kinds import has_bands, is_sweep
 
-    if is_band_sweep(path):
-        return load_band_sweep(path, settings(given), point(reference))
-    if is_sweep(path):
-        return load_sweep(path, settings(given), point(reference))
-    if reference is not None:
-        fail(f"{path}: --reference: found a scene without [sweep]; points of a sweep are expected")
-    return None
+    if not is_sweep(path):
+        if reference is not None:
+            fail(f"{path}: --reference: found a scene without [sweep]; points of a sweep are expected")
+        return None
+    from surveysim.studies.sweep.axes import load_sweep
+    from surveysim.studies.sweep.bands import load_band_sweep
+
+    load = load_band_sweep if has_bands(path) else load_sweep
+    return load(path, settings(given), point(reference))
 
 
 def bands_of(path: Path, given: list[str] | None) -> "MultiBandScene | None":
     """Load, check and prepare all bands of a scene file; None without bands, SceneError with lines that name them."""
-    from surveysim.scene.bands import has_bands, load_bands, of_each_band
+    from surveysim.scene.kinds import has_bands
 
     if not has_bands(path):
         return None
     from surveysim.reduction.setup import prepare
+    from surveysim.scene.bands import load_bands, of_each_band
 
     scenes = load_bands(path, settings(given))
     of_each_band(path, scenes.content, lambda name: prepare(scenes.bands[name]))

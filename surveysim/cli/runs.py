@@ -157,7 +157,7 @@ def _run_scene(
     engine.start_early()
     if limits.target_error is not None and checked.score is None:
         fail(f"{scene}: --target-error: found no [score]; the error is one of a score, which needs it")
-    from surveysim.api import run_survey
+    from surveysim.api.surveys import run_survey
     from surveysim.cli.progress import (
         announce_compilation,
         observation_work,
@@ -166,7 +166,6 @@ def _run_scene(
         seconds_left,
         show_solving,
     )
-    from surveysim.report.terminal.survey import print_result
 
     if resume and not quiet:
         report_new_start(directory, "checkpoint", " observation")
@@ -196,6 +195,8 @@ def _run_scene(
             force=force,
         )
     if not quiet:
+        from surveysim.report.terminal.survey import print_result
+
         print_result(result, directory, verbose)
 
 
@@ -215,7 +216,8 @@ def _run_sweep(
     if resume and not quiet:
         report_new_start(directory, "points", "")
     engine.start_early()
-    from surveysim.api import run_band_sweep, run_single_sweep
+    from surveysim.api.band_sweeps import run_band_sweep
+    from surveysim.api.sweeps import run_single_sweep
     from surveysim.cli.progress import announce_compilation, sweep_display
     from surveysim.report.terminal.sweep import print_sweep, print_sweeps
     from surveysim.studies.sweep.axes import Sweep
@@ -267,7 +269,7 @@ def forecast(
         forecast_bands(scenes, out, force=force, verbose=verbose, quiet=quiet)
         return
     setup = ready_setup(scene, settings)
-    from surveysim.api import forecast_survey
+    from surveysim.api.surveys import forecast_survey
     from surveysim.report.terminal.forecast import print_forecast
 
     try:
@@ -281,7 +283,8 @@ def forecast(
 def _forecast_sweep(
     sweep: "Sweep | MultiBandSweep", directory: Path, *, figures: bool, force: bool, verbose: bool, quiet: bool
 ) -> None:
-    from surveysim.api import forecast_band_sweep, forecast_single_sweep
+    from surveysim.api.band_sweeps import forecast_band_sweep
+    from surveysim.api.sweeps import forecast_single_sweep
     from surveysim.cli.progress import equal_work, sweep_display
     from surveysim.report.terminal.sweep import print_sweep, print_sweeps
     from surveysim.studies.sweep.axes import Sweep
@@ -302,7 +305,7 @@ def _forecast_sweep(
 
 def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) -> None:
     """Predict run time, memory and disk space of a run."""
-    from surveysim.api import plan_band_sweep, plan_bands, plan_single_sweep, plan_survey
+    from surveysim.api.plans import plan_band_sweep, plan_bands, plan_single_sweep, plan_survey
     from surveysim.report.terminal.plan import print_band_sweep_plans, print_plan, print_sweep_plan
     from surveysim.runtime.engine import default_workers
     from surveysim.studies.sweep.axes import Sweep

@@ -1,6 +1,5 @@
-"""Commands on scenes and output directories: check, keys, new, cameras, report."""
+"""Commands on scenes and output directories: keys, new, cameras, report."""
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,143 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mapmaker.printable import say
-from surveysim.cli.options import Force, Overrides, SceneFile, bands_of, fail, ready_setup, scene_completions, sweep_of
+from surveysim.cli.options import Force, fail, scene_completions
 from surveysim.runtime.errors import InputError
 from surveysim.scene.shipped import HERE, MAX_NAME, NAME, camera_titles, find_scene, no_such_scene
 from surveysim.scene.similar_names import did_you_mean
 from surveysim.scene.units import shown
 
 if TYPE_CHECKING:
-    from surveysim.reduction.setup import Setup
     from surveysim.scene.keys import KeyRow
-    from surveysim.scene.scene import Scene
-    from surveysim.studies.sweep.axes import Point
-
-
-def check(scene: SceneFile, settings: Overrides = None) -> None:
-    """Check a scene or sweep without running it.
-
-    Each error is one line: file, key, the value found and the values allowed. A scene's detectors are counted, and
-    questionable choices are warned of.
-    """
-    from surveysim.reduction.resource_limits import said_of_size
-    from surveysim.studies.sweep.bands import sweep_points
-
-    if sweep := sweep_of(scene, settings):
-        points = sweep_points(sweep)
-        say(f"{scene}: {sweep.name!r} is a sweep of {len(points)} points that can be run")
-        large = said_of_size(sum(point.detector_samples for point in points))
-        _warn_of_points(points)
-    elif scenes := bands_of(scene, settings):
-        say(f"{scene}: {scenes.name!r} is a camera of {len(scenes.bands)} bands that can be run")
-        large = _check_setups(scenes.bands)
-    else:
-        setup = ready_setup(scene, settings)
-        knobs = _knobs(scene, settings) if setup.scene.optimise else ""
-        say(f"{scene}: {setup.scene.name!r} is a scene that can be run")
-        if knobs:
-            say(f"'surveysim optimise' varies {knobs}")
-        large = _check_setups({"": setup.scene})
-    if large:
-        say(large)
-
-
-def _knobs(scene: Path, settings: list[str] | None) -> str:
-    """Check the section [optimise] of a scene; return its knobs."""
-    from surveysim.cli import options
-    from surveysim.studies.optimise.problem import load_problem
-
-    return ", ".join(knob.key for knob in load_problem(scene, options.settings(settings)).knobs)
-
-
-def _check_setups(scenes: "Mapping[str, Scene]") -> str:
-    """Count the detectors of each band and print warnings; return a line on the size of the whole."""
-    from surveysim.reduction.resource_limits import said_of_size
-    from surveysim.reduction.setup import prepare
-    from surveysim.report.terminal.camera import camera_lines
-
-    samples, pixels, warnings = 0, 0, []
-    for name, scene in scenes.items():
-        setup, before = prepare(scene), f"{name}: " if name else ""
-        for line in camera_lines(setup):
-            say(before + line)
-        warnings += [before + line for line in _warnings(setup)]
-        of_observation = setup.camera.n_det * setup.observing.samples(setup.observing.blocks[-1]).stop
-        samples += scene.observations * of_observation
-        pixels = setup.analysis.geometry.n_x * setup.analysis.geometry.n_y
-    _say_warnings(warnings)
-    return said_of_size(samples, pixels)
-
-
-def _warnings(setup: "Setup") -> list[str]:
-    from surveysim.reduction.design_warnings import design_warnings
-    from surveysim.results.sensitivity import saturation_warnings, sensitivities
-
-    detector = setup.scene.detector
-    saturated = sensitivities(setup) if detector and detector.bolometer else {}
-    return [*design_warnings(setup), *saturation_warnings(saturated)]
-
-
-def _warn_of_points(points: "Sequence[Point]") -> None:
-    """Print each warning once, with the points of the sweep that it is about."""
-    from surveysim.reduction.setup import prepare
-
-    found: dict[str, list[str]] = {}
-    for point in points:
-        for line in _warnings(prepare(point.scene)):
-            found.setdefault(line, []).append(": ".join(filter(None, (point.scene.band_name, point.label))))
-    _say_warnings(
-        [f"{'all points' if len(of) == len(points) else '; '.join(of)}: {line}" for line, of in found.items()]
-    )
-
-
-def optics(scene: SceneFile, settings: Overrides = None) -> None:
-    """Print the load and the sensitivity of a scene's detectors.
-
-    The load by element, from the sky to the detector, and NEP, NET and NEFD at quartiles of the site's water. Each
-    band and each point of a sweep has its own tables.
-    """
-    from surveysim.reduction.setup import prepare
-    from surveysim.studies.sweep.bands import sweep_points
-
-    if sweep := sweep_of(scene, settings):
-        points = sweep_points(sweep)
-        named = [(": ".join(filter(None, (point.scene.band_name, point.label))), point.scene) for point in points]
-    elif scenes := bands_of(scene, settings):
-        named = list(scenes.bands.items())
-    else:
-        _print_optics(scene, ready_setup(scene, settings))
-        return
-    for name, item in named:
-        say(f"{name}:")
-        _print_optics(scene, prepare(item))
-
-
-def _print_optics(path: Path, setup: "Setup") -> None:
-    from surveysim.report.terminal.layout import Terminal
-    from surveysim.report.terminal.tables import show_table
-    from surveysim.results.sensitivity import (
-        saturation_warnings,
-        sensitivities,
-        sensitivity_entries,
-        sensitivity_tables,
-    )
-    from surveysim.telescope.diffraction import effective_area_m2
-
-    found = sensitivities(setup)
-    if not found:
-        fail(f"{path}: photon: found noise that follows from no load; 'photon.load' or a section [optics] is expected")
-    entries, console = sensitivity_entries(setup, found), Terminal()
-    for table in sensitivity_tables(entries):
-        show_table(console, table)
-    beam = math.degrees(setup.camera.focal_plane.fwhm_rad) * 3600
-    say(f"beam of {beam:.4g} arcsec (FWHM); effective area of {effective_area_m2(setup.scene):.4g} m2")
-    _say_warnings(saturation_warnings(found))
-
-
-def _say_warnings(lines: Sequence[str]) -> None:
-    for line in lines:
-        say(f"Warning: {line}")
 
 
 def keys(

@@ -65,8 +65,8 @@ def accuracy(
         fail(f"{scene}: score: missing; accuracy is that of a score")
     from surveysim.cli.progress import equal_work, progress_display
     from surveysim.output.directory import claimed, replacing
-    from surveysim.output.expected_files import accuracy_settings, of_accuracy
-    from surveysim.output.writer import write_accuracy
+    from surveysim.output.expected_study_files import accuracy_settings, of_accuracy
+    from surveysim.output.study_writer import write_accuracy
     from surveysim.report.terminal.convergence import print_accuracy
     from surveysim.studies.convergence import ladders, measure_accuracy
 
@@ -99,8 +99,8 @@ def _run_extremes(directory: Path, force: bool, quiet: bool) -> bool:
     """Run the stress cases and print their outcomes; return whether all are as expected."""
     from surveysim.cli.progress import equal_work, progress_display
     from surveysim.output.directory import claimed, replacing
-    from surveysim.output.expected_files import EXTREMES
-    from surveysim.output.writer import write_extremes
+    from surveysim.output.expected_study_files import EXTREMES
+    from surveysim.output.study_writer import write_extremes
     from surveysim.report.terminal.stress import print_extremes
     from surveysim.studies.stress import CASES, run_case
 

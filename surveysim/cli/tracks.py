@@ -24,11 +24,10 @@ def track(
     The table has time, azimuth, elevation, right ascension and declination of the boresight at each sample. A scene
     with pattern = "track" in [scan] reads it back.
     """
-    from surveysim.api import track as write_track
-    from surveysim.studies.sweep.axes import is_sweep
-    from surveysim.studies.sweep.bands import is_band_sweep
+    from surveysim.api.tracks import track as write_track
+    from surveysim.scene.kinds import is_sweep
 
-    if is_sweep(scene) or is_band_sweep(scene):
+    if is_sweep(scene):
         fail(f"{scene}: sweep: found a sweep; a scene without [sweep] is expected")
     scenes = bands_of(scene, settings)  # all bands have the same track
     one = next(iter(scenes.bands.values())) if scenes else ready_setup(scene, settings).scene

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from surveysim.output.directory import begin, claimed, replacing
-from surveysim.output.expected_files import of_point, point_directory
+from surveysim.output.expected_files import of_point
+from surveysim.output.expected_study_files import point_directory
 from surveysim.output.writer import write_outputs
 from surveysim.results.results import SurveyResult
 from surveysim.studies.sweep.axes import Point, Sweep

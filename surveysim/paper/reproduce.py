@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from mapmaker.files import atomic_write
 from surveysim.output.directory import OutputDirectory, claimed, finish
 from surveysim.output.drawings import undrawn
-from surveysim.output.expected_files import of_paper
+from surveysim.output.expected_study_files import of_paper
 from surveysim.paper.manifest import earlier_runs, write_record
 from surveysim.paper.measured_survey import MeasuredSurvey, measure_survey
 from surveysim.paper.scenes import NEEDS, Wanted
@@ -122,7 +122,7 @@ def _run_makers(
     names: list[str], out: Path, scene: Scene, *, engine: Engine, progress: Callable[[], None]
 ) -> list[tuple[str, Callable[[], list[Path]]]]:
     """Functions that make the items of one run; the first that is called starts the run."""
-    from surveysim.api import run_survey
+    from surveysim.api.surveys import run_survey
 
     counted = 0
 

@@ -108,12 +108,12 @@ def _entry(name: str, item: Sensitivity, root: float) -> dict[str, Any]:
 # ---------------------------------------------------------------- tables
 
 
-def _middle(entries: Sequence[Content]) -> Content:
-    """Return the item whose elements are shown: the median water, or the only one."""
+def middle_sky(entries: Sequence[Content]) -> Content:
+    """Return the item that stands for all: the median water, or the only one."""
     return entries[len(entries) // 2]
 
 
-def _conditions(entry: Content) -> str:
+def sky_text(entry: Content) -> str:
     """Name the sky of an item: water and elevation."""
     sky, pwv_mm = entry["sky"], entry["pwv_mm"]
     water = sky if pwv_mm is None else f"{sky} water, {number(pwv_mm)} mm"
@@ -127,7 +127,7 @@ def sensitivity_tables(entries: Sequence[Content]) -> tuple[Table, ...]:
 
 def load_table(entries: Sequence[Content]) -> Table:
     """Return the load of a detector by element, from the sky to the detector, at the median water."""
-    entry = _middle(entries)
+    entry = middle_sky(entries)
     rows = entry["elements"]
     columns = (
         column("element", _values(rows, "name"), "element"),
@@ -139,7 +139,7 @@ def load_table(entries: Sequence[Content]) -> Table:
         column("nep2_share", _values(rows, "nep2_share"), "share of NEP^2", share_text),
     )
     meta = {"sky": entry["sky"], "pwv_mm": entry["pwv_mm"], "elevation_deg": math.degrees(entry["elevation_rad"])}
-    return Table("load", f"Load of a detector: {_conditions(entry)}", columns, meta=meta)
+    return Table("load", f"Load of a detector: {sky_text(entry)}", columns, meta=meta)
 
 
 def nep_table(entries: Sequence[Content]) -> Table:

@@ -27,8 +27,9 @@ _temporary_homes: list[str] = []
 UNUSED = ("numpy.f2py", "numpy.testing", "yaml")
 # Numba looks whether scipy has this module, whose package takes 0.05 s; no kernel here calls BLAS.
 PROBED = "scipy.linalg.cython_blas"
-# Allocations between two searches for cycles, 700 by default: imports make many objects and hardly any cycles.
-COLLECT_EVERY = 200_000
+# New objects between two searches for cycles, 700 by default. Imports make some 400 000, which stay, and hardly any
+# cycles; a search looks at them all.
+COLLECT_EVERY = 1_000_000
 # Numbers of threads of the libraries that numpy may multiply matrices with; they are read when it is imported.
 THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 

@@ -77,11 +77,6 @@ class MultiBandScene:
         return self.origin.path
 
 
-def has_bands(path: str | Path) -> bool:
-    """Return whether a scene file has tables [bands.NAME]; raises SceneError if it cannot be read."""
-    return TABLE in read_scene(find_scene(path))[1]
-
-
 def load_bands(path: str | Path, overrides: Mapping[str, Any] | None = None) -> MultiBandScene:
     """Read and check a scene of a camera of several bands.
 

@@ -12,7 +12,8 @@ from astropy.table import Table
 import surveysim
 from surveysim.forecasting.forecast import forecast
 from surveysim.output.record import RECORD
-from surveysim.output.writer import write_accuracy, write_extremes, write_forecast
+from surveysim.output.study_writer import write_accuracy, write_extremes
+from surveysim.output.writer import write_forecast
 from surveysim.paper.explain.ingredients import Explained, ingredients
 from surveysim.paper.explain.run import explain
 from surveysim.paper.explain.values import SETTINGS

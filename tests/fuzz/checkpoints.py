@@ -22,7 +22,7 @@ META = (None, [], {}, "x", -1, 1e400, {"scene": 1}, True, "\x1b[31m", "y" * 3000
 
 def prepare(folder: Path) -> Base:
     """A run that was stopped after two of four observations, and the results of a whole one."""
-    from surveysim.api import run
+    from surveysim import run
     from surveysim.scene.scene import load_scene
 
     def stop(coadds: Any) -> None:

@@ -24,7 +24,7 @@ VALUES = (None, [], {}, "x", -1, 0, 1e400, float("nan"), True, "\x1b[31m", [1], 
 
 def prepare(folder: Path) -> Base:
     """A sweep that was stopped after the first of two points, and the results of a whole one."""
-    from surveysim.api import run_sweep
+    from surveysim import run_sweep
 
     def stop(done: int) -> None:
         if done == 1:

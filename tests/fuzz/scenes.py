@@ -171,7 +171,7 @@ def _prepared(folder: Path) -> dict[str, Any]:
 
 def warm(folder: Path) -> None:
     """Load what a run loads, so that no input pays for it."""
-    from surveysim.api import run
+    from surveysim import run
     from surveysim.runtime.engine import SERIAL
     from surveysim.scene.scene import load_scene
 

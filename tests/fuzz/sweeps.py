@@ -96,8 +96,9 @@ def tried(units: dict[tuple[str, ...], str], with_plan: bool) -> Outcome:
     """Check the sweep; where it is accepted, compare its points with the file, and plan it."""
     if refused := outcome_of_end(call("check", "scene.toml")):
         return refused
+    from surveysim.scene.kinds import is_sweep
     from surveysim.scene.scene import load_scene
-    from surveysim.studies.sweep.axes import is_sweep, load_sweep
+    from surveysim.studies.sweep.axes import load_sweep
 
     content = tomllib.loads(Path("scene.toml").read_text())
     if not is_sweep("scene.toml"):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surveysim.api import run
+from surveysim import run
 from surveysim.reduction.figure_of_merit import figures_of_merit
 from surveysim.reduction.observation import transfer_functions
 from surveysim.reduction.setup import prepare

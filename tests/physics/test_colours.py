@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surveysim.api import run
+from surveysim import run
 from surveysim.api.bands import checked_bands
 from surveysim.atmosphere.opacity import band_opacity, fluctuation_factor_mk2, slant_factor
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline

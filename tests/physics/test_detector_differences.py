@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from mapmaker.geometry import pixel_indices
 from mapmaker.timestreams import FocalPlane
 from mapmaker.transfer_function import beam_window, pixel_window
-from surveysim.api import run
+from surveysim import run
 from surveysim.forecasting.forecast import forecast
 from surveysim.forecasting.mode_response import projected_array, stream_power
 from surveysim.forecasting.observing_conditions import (

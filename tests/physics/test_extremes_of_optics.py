@@ -7,7 +7,7 @@ import textwrap
 import numpy as np
 import pytest
 
-from surveysim.api import run, simulate_observation
+from surveysim import run, simulate_observation
 from surveysim.forecasting.forecast import forecast
 from surveysim.forecasting.mode_response import matrix_power, projected_array
 from surveysim.reduction.setup import prepare
@@ -230,7 +230,7 @@ def test_horns_fit_between_their_neighbours(scene_of):
 
 _BIG = """
     import resource
-    from surveysim.api import simulate_observation
+    from surveysim import simulate_observation
     from surveysim.forecasting.forecast import forecast
     from surveysim.reduction.setup import prepare
     from surveysim.scene.scene import load_scene

@@ -10,7 +10,7 @@ import pytest
 from mapmaker.geometry import sky_offsets
 from mapmaker.spectrum import tukey
 from mapmaker.timestreams import FocalPlane
-from surveysim.api import run
+from surveysim import run
 from surveysim.atmosphere.screen_simulation import StripCache, add_atmosphere, strip_step
 from surveysim.atmosphere.thin_screen import Screen
 from surveysim.forecasting import mode_response as response

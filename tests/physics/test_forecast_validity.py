@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surveysim.api import run
+from surveysim import run
 from surveysim.forecasting.forecast import forecast
 from surveysim.reduction.setup import prepare
 from surveysim.results.results import forecast_agreement

@@ -9,7 +9,7 @@ from scipy.special import j1
 from scipy.stats import chi2
 
 from mapmaker.timestreams import FocalPlane
-from surveysim.api import run
+from surveysim import run
 from surveysim.forecasting.forecast import forecast
 from surveysim.reduction.setup import prepare
 from surveysim.results.results import forecast_agreement

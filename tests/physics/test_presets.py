@@ -6,10 +6,11 @@ import tomllib
 import pytest
 
 from docs.cameras import KINDS, PAGE, numbers, ours, with_table
-from surveysim.api import run
+from surveysim import run
 from surveysim.runtime.engine import SERIAL
-from surveysim.scene.bands import has_bands, load_bands
+from surveysim.scene.bands import load_bands
 from surveysim.scene.keys import scene_keys
+from surveysim.scene.kinds import has_bands
 from surveysim.scene.scene import load_scene
 from surveysim.scene.shipped import camera_folder, camera_titles
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapmaker.formats import read_timestreams
-from surveysim.api import run
+from surveysim import run
 from surveysim.forecasting.forecast import forecast
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare

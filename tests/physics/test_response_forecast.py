@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surveysim.api import run
+from surveysim import run
 from surveysim.atmosphere.opacity import band_opacity, optical_depth
 from surveysim.forecasting.forecast import forecast
 from surveysim.forecasting.response_filters import drift_left, stream_filters

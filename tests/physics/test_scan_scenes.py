@@ -2,7 +2,7 @@
 
 import pytest
 
-from surveysim.api import run
+from surveysim import run
 from surveysim.results.results import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surveysim.api import run
+from surveysim import run
 from surveysim.results.results import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from tests.physics.test_forecast_validity import UNMASKED, Case

@@ -11,7 +11,7 @@ import numpy as np
 from mapmaker.files import write_ecsv
 from surveysim.output.directory import OutputDirectory, begin, claimed, finish
 from surveysim.output.drawings import undrawn
-from surveysim.output.expected_files import of_explanation
+from surveysim.output.expected_study_files import of_explanation
 from surveysim.output.writer import write_summary
 from surveysim.paper.explain.comparison import compared
 from surveysim.paper.explain.findings import findings

@@ -72,8 +72,8 @@ RUN = {
         "Sky in and out",
         "Three panels: the sky that goes in, the map of it that comes back, and the transfer function of modes.",
         "Left: the scene's sky through the beam, averaged over pixels. Middle: the map of it without noise, after "
-        "scans and cleaning ({cleaning}), of the observations with signal simulations. Both in µK_CMB, on the scored "
-        "area. "
+        "scans and cleaning ({cleaning}), of the observations with signal simulations. Both in µK_CMB, less their "
+        "medians, on the scored area, with one scale: that of the map that comes back. "
         "Right: amplitude that is left of modes with the multipoles ℓ_x and ℓ_y, from the simulated skies.",
         "Look for sources of the left panel in the middle one, the hollows around them, and for the stripes of the "
         "right panel where scans along that direction lose all long waves.",

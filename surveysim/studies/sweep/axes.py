@@ -75,9 +75,9 @@ class Axis:
         seen = Counter(texts)
         return [f"{text} #{step}" if seen[text] > 1 else text for step, text in enumerate(texts)]
 
-    def at(self, step: int) -> str:
-        """Format one step as ``name = value`` or ``name (key = value, ...)``."""
-        text = self.labels[step]
+    def at(self, *steps: int) -> str:
+        """Format steps as ``name = value or value, ...`` or ``name (key = value, ... or key = value, ...)``."""
+        text = " or ".join(self.labels[step] for step in steps)
         return f"{self.name} = {text}" if self.distinguishing_keys == self.keys[:1] else f"{self.name} ({text})"
 
 
@@ -116,11 +116,6 @@ class Sweep:
     def name(self) -> str:
         """The scene's name."""
         return self.points[0].scene.name
-
-
-def is_sweep(path: str | Path) -> bool:
-    """Return whether a scene file has a table [sweep]; raises SceneError if it cannot be read."""
-    return "sweep" in read_scene(find_scene(path))[1]
 
 
 def load_sweep(

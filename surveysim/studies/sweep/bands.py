@@ -13,7 +13,7 @@ from surveysim.scene.bands import TABLE, band_key, bands_of, has_key, of_each_ba
 from surveysim.scene.scene import Origin, Scene, read_scene
 from surveysim.scene.shipped import find_scene
 from surveysim.scene.units import file_value
-from surveysim.studies.sweep.axes import Axis, Point, Sweep, is_sweep, sweep_along, sweep_axes, sweep_hash
+from surveysim.studies.sweep.axes import Axis, Point, Sweep, sweep_along, sweep_axes, sweep_hash
 
 
 @dataclass(frozen=True)
@@ -32,11 +32,6 @@ class MultiBandSweep:
     def path(self) -> Path:
         """Path of the file."""
         return self.origin.path
-
-
-def is_band_sweep(path: str | Path) -> bool:
-    """Return whether a scene file has tables [sweep] and [bands.NAME]; raises SceneError if it cannot be read."""
-    return is_sweep(path) and TABLE in read_scene(find_scene(path))[1]
 
 
 def load_band_sweep(
@@ -58,11 +53,14 @@ def load_band_sweep(
     return MultiBandSweep(base.name, base.title, origin, found)
 
 
+def sweeps_of(sweep: Sweep | MultiBandSweep) -> Mapping[str, Sweep]:
+    """Sweeps by band; of a camera of one band, its only sweep without a name."""
+    return {"": sweep} if isinstance(sweep, Sweep) else sweep.bands
+
+
 def sweep_points(sweep: Sweep | MultiBandSweep) -> tuple[Point, ...]:
     """All points of a sweep, of all bands."""
-    if isinstance(sweep, Sweep):
-        return sweep.points
-    return tuple(point for item in sweep.bands.values() for point in item.points)
+    return tuple(point for item in sweeps_of(sweep).values() for point in item.points)
 
 
 def band_sweep_hash(sweep: MultiBandSweep) -> str:

@@ -10,7 +10,7 @@ from astropy.table import QTable
 
 import surveysim
 from surveysim import load_bands, run
-from surveysim.api import run_survey
+from surveysim.api.surveys import run_survey
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import NotForecastableError, SceneError

@@ -31,7 +31,8 @@ def sweep(tmp_path):
 
 
 def test_check_and_plan_of_a_sweep(call, sweep):
-    assert call("check", sweep) == (0, f"{sweep}: 'speeds' is a sweep of 2 points that can be run\n", "")
+    counted = "all points: 18 detectors; 1 dead position of 19"
+    assert call("check", sweep) == (0, f"{sweep}: 'speeds' is a sweep of 2 points that can be run\n{counted}\n", "")
     code, out, error = call("check", sweep, "--set", "scan.speed=1 arcmin / s")
     assert (code, out) == (2, "") and error.startswith(f"{sweep}: scan.speed: set, and on an axis of the sweep")
     code, out, error = call("plan", sweep, "--workers", 1, "--set", "observations=2")

@@ -5,15 +5,8 @@ import json
 import pytest
 
 from surveysim import load_scene, load_sweep, run
-from surveysim.output.expected_files import (
-    EXTREMES,
-    accuracy_settings,
-    of_accuracy,
-    of_forecast,
-    of_paper,
-    of_run,
-    of_sweep,
-)
+from surveysim.output.expected_files import of_forecast, of_run
+from surveysim.output.expected_study_files import EXTREMES, accuracy_settings, of_accuracy, of_paper, of_sweep
 from surveysim.output.file_names import WRITTEN
 from surveysim.output.record import RECORD
 from surveysim.paper.scenes import FIGURES, SCENES, TABLES

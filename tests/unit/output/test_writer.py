@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from mapmaker.files import atomic_write
-from surveysim import SceneError, load_scene, run
-from surveysim.api import forecast_sweep
+from surveysim import SceneError, forecast_sweep, load_scene, run
 from surveysim.output import writer as outputs
 from surveysim.report.figures import style as drawing
 from surveysim.report.figures import survey as figures

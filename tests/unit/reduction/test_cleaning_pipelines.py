@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapmaker.binning import read_fits
-from surveysim.api import run
+from surveysim import run
 from surveysim.reduction import consistency as checks
 from surveysim.reduction import setup as ready
 from surveysim.reduction.cleaning_pipelines import needed_detectors

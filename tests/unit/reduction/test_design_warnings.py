@@ -7,7 +7,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from surveysim.api import run
+from surveysim import run
 from surveysim.reduction.design_warnings import CHECKS, design_warnings
 from surveysim.reduction.setup import prepare
 from surveysim.report.terminal.survey import print_result

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapmaker.cleaning import TEMPLATE_CLEANINGS
-from surveysim.api import run
+from surveysim import run
 from surveysim.forecasting.fitted_modes import NO_FITTED_MODES
 from surveysim.forecasting.mode_response import projected_array
 from surveysim.forecasting.noise_model import noise_models

@@ -14,6 +14,7 @@ from surveysim.report.figures import survey as figures
 from surveysim.report.figures.observations import timestream_psd
 from surveysim.report.figures.run_time import time_figure
 from surveysim.report.figures.sky_map import map_planes
+from surveysim.report.figures.sky_recovery import sky_in_and_out
 from surveysim.report.figures.spectra import cumulative_sensitivity, map_psds
 from surveysim.results.results import survey_result
 from surveysim.scene.scene import load_scene
@@ -136,6 +137,21 @@ def test_map_in_cmb_temperature(setup, coadds):
     assert np.isfinite(signal[seen]).all()
     # 1 mK Rayleigh-Jeans is 1650 uK of the CMB at 143 GHz.
     np.testing.assert_allclose(noise[seen], 1650 / np.sqrt(coadds.weight[0][seen]), rtol=0.01)
+
+
+def test_sky_in_and_out_have_one_scale():
+    """A mean that cleaning removes is no difference of colour; a source is, by what it lost."""
+    geometry = MapGeometry(*np.radians([132.3, 44.8]), np.radians(0.01), 40, 40)
+    source = np.zeros((40, 40))
+    source[18:22, 18:22] = 1
+    maps = {"input_mk": source + 5, "output_mk": 0.9 * source, "weight": np.ones((40, 40))}
+    figure = sky_in_and_out(
+        SimpleNamespace(geometry=geometry, bin_width=500, transfer_plane=np.ones((4, 2)), **maps), 1.0
+    )
+    images = [axes.images[0] for axes in figure.axes if axes.images]
+    assert len(figure.axes) == 5  # three panels, two colour bars
+    assert images[0].get_clim() == images[1].get_clim() == pytest.approx((-900, 900))
+    assert [image.get_array().max() for image in images[:2]] == pytest.approx([1000, 900])
 
 
 @pytest.mark.parametrize(("ra", "dec"), [(132.3, 44.8), (0.0, -55.0), (15.0, 89.7)])

@@ -5,7 +5,7 @@ import json
 import pytest
 from astropy.table import Table
 
-from surveysim.api import run
+from surveysim import run
 from surveysim.reduction.setup import prepare
 from surveysim.report.html.scene import scene_terms
 from surveysim.report.terminal.camera import camera_lines

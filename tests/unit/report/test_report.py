@@ -12,8 +12,7 @@ import pytest
 from PIL import Image
 
 from mapmaker.report.page import units
-from surveysim import load_scene, run, run_sweep
-from surveysim.api import forecast_sweep
+from surveysim import forecast_sweep, load_scene, run, run_sweep
 from surveysim.report.figures.survey import TITLES
 from surveysim.report.html.captions import RUN
 from surveysim.report.html.page import NoResultsError, write_report

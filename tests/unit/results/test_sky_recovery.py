@@ -12,7 +12,7 @@ from scipy.ndimage import correlate1d
 
 import mapmaker as mm
 from mapmaker.geometry import pixel_centres
-from surveysim.api import run
+from surveysim import run
 from surveysim.reduction.input_map import input_map
 from surveysim.reduction.setup import prepare
 from surveysim.report.figures.survey import survey_figures

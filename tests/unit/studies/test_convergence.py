@@ -9,7 +9,7 @@ from astropy.table import Table
 
 from mapmaker.uncertainty import ErrorBudget
 from surveysim import SceneError, load_scene
-from surveysim.output.writer import write_accuracy
+from surveysim.output.study_writer import write_accuracy
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare
 from surveysim.report.figures.convergence import accuracy_figure, pareto

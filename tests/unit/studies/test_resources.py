@@ -2,7 +2,7 @@
 
 import pytest
 
-from surveysim.api import run
+from surveysim import run
 from surveysim.atmosphere import screen_simulation as screen
 from surveysim.output import writer as outputs
 from surveysim.reduction import cleaned_block, setup

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from surveysim import SceneError, load_scene, load_sweep
+from surveysim.scene.kinds import is_sweep
 from surveysim.scene.scene import scene_hash
-from surveysim.studies.sweep.axes import Axis, is_sweep, numbers_of, value_text
+from surveysim.studies.sweep.axes import Axis, numbers_of, value_text
 from tests.scenes import SMALL_SCENE, without_sections
 
 SPEEDS = '"scan.speed" = ["3 arcmin / s", "4 arcmin / s", "0.1 deg / s"]\n'

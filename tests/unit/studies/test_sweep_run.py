@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from surveysim import SceneError, load_scene, load_sweep, run, run_sweep
-from surveysim.api import forecast_sweep
+from surveysim import SceneError, forecast_sweep, load_scene, load_sweep, run, run_sweep
 from surveysim.output.lock import OutputError
 from surveysim.output.record import RECORD
 from surveysim.report.figures.sweep import _ticks, draw_sweep, sweep_figure

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from surveysim import load_scene, run, run_sweep
-from surveysim.api import forecast_sweep
+from surveysim import forecast_sweep, load_scene, run, run_sweep
 from surveysim.reduction.cleaning_pipelines import OPTIMAL
 from surveysim.reduction.setup import prepare
 from surveysim.report.figures.sweep import sweep_figure
