@@ -10,9 +10,10 @@ from typing import Any
 
 import typer
 
-from mapmaker.cli.main import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
+from mapmaker.cli.main import EXIT_FAILED, EXIT_WRONG_INPUT
 from mapmaker.errors import ArgumentError, InputError
 from mapmaker.printable import printable, shortened
+from mapmaker.stop_signals import EXIT_INTERRUPTED, asked_to_stop
 
 EXIT_BROKEN_PIPE = 141  # as after SIGPIPE: 128 plus its number
 UsageError: Any = typer.BadParameter.__bases__[0]  # its own name is private in some versions of typer
@@ -25,7 +26,7 @@ def failure(error: BaseException, arguments: Sequence[str]) -> tuple[int, str]:
         return EXIT_BROKEN_PIPE, ""
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else EXIT_FAILED, ""
-    if isinstance(error, KeyboardInterrupt | typer.Abort):
+    if isinstance(error, KeyboardInterrupt | typer.Abort) or asked_to_stop():
         return EXIT_INTERRUPTED, "; ".join(["interrupted", *getattr(error, "__notes__", ())])
     if isinstance(error, UsageError):
         command = error.ctx.command_path if error.ctx else "mapmaker"

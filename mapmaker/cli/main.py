@@ -2,46 +2,54 @@
 
 import gc
 import os
-import signal
 import sys
 import warnings
 from collections.abc import Sequence
 from typing import NoReturn
 
-EXIT_FAILED, EXIT_WRONG_INPUT, EXIT_INTERRUPTED = 1, 2, 130
+from mapmaker.stop_signals import (
+    EXIT_INTERRUPTED,
+    TOO_LATE,
+    asked_to_stop,
+    ignore_signals,
+    interrupt_work,
+    keep_exit_code,
+)
+
+EXIT_FAILED, EXIT_WRONG_INPUT = 1, 2
 
 
 def main() -> NoReturn:
     """Run a command: exit code 0 for success, 2 for user errors, 1 for other errors, 130 when interrupted."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
+    interrupt_work()
     warnings.simplefilter("ignore")  # of libraries; errors of input have a line of their own
     code = ended(sys.argv[1:])
+    keep_exit_code()
     gc.freeze()  # Python searches all objects for cycles at exit, several times: a third of a short command
     sys.exit(code)
 
 
-def _interrupt(number: int, frame: object) -> NoReturn:
-    """Interrupt the command, once: a second Ctrl-C would interrupt the removal of unfinished files."""
-    for each in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(each, signal.SIG_IGN)
-    raise KeyboardInterrupt
-
-
 def ended(arguments: Sequence[str]) -> int:
-    """Return the exit code of a command at its end; a failure prints one line to standard error."""
+    """Return the exit code of a command at its end; a failure prints one line to standard error.
+
+    Signals are ignored from then on.
+    """
     try:
-        code = _run(arguments)
+        code, message = _run(arguments), ""
         sys.stdout.flush()
-        return code
+        ignore_signals()
     except BaseException as error:
+        ignore_signals()
         from mapmaker.cli.failures import failure
-        from mapmaker.printable import complain
 
         code, message = failure(error, arguments)
-        if message:
-            complain(message)
-        return code
+    if asked_to_stop() and not code:
+        code, message = EXIT_INTERRUPTED, TOO_LATE
+    if message:
+        from mapmaker.printable import complain
+
+        complain(message)
+    return code
 
 
 def _run(arguments: Sequence[str]) -> int:

@@ -5,7 +5,8 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from time import perf_counter
 
-from surveysim.api.surveys import PROCESSES, finished_survey, forecast_survey, run_survey
+from surveysim.api.forecasts import forecast_survey
+from surveysim.api.surveys import PROCESSES, finished_survey, run_survey
 from surveysim.output.band_writer import write_band_forecasts, write_bands
 from surveysim.output.directory import FinishedError, begin, claimed, remove_nested, replacing
 from surveysim.output.expected_files import band_directory, of_bands, of_run

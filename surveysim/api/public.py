@@ -6,8 +6,9 @@ from typing import Any
 
 from surveysim.api.band_sweeps import forecast_band_sweep, run_band_sweep
 from surveysim.api.bands import forecast_bands, run_bands
+from surveysim.api.forecasts import forecast_survey
 from surveysim.api.plans import plan_band_sweep, plan_bands, plan_single_sweep, plan_survey
-from surveysim.api.surveys import PROCESSES, forecast_survey, run_survey
+from surveysim.api.surveys import PROCESSES, run_survey
 from surveysim.api.sweeps import forecast_single_sweep, run_single_sweep
 from surveysim.forecasting.forecast import Forecast
 from surveysim.results.bands import MultiBandForecast, MultiBandResult

@@ -9,13 +9,10 @@ from time import perf_counter
 from threadpoolctl import threadpool_limits
 
 from mapmaker.timestreams import Timestreams
-from surveysim.forecasting.forecast import Forecast
-from surveysim.forecasting.forecast import forecast as forecast_scene
 from surveysim.output.directory import begin, claimed, remove_nested, replacing
-from surveysim.output.expected_files import of_forecast, of_run
-from surveysim.output.writer import write_forecast, write_outputs
+from surveysim.output.expected_files import of_run
+from surveysim.output.writer import write_outputs
 from surveysim.reduction.setup import Setup, is_quick, prepare
-from surveysim.results.control_variate import known_expectations
 from surveysim.results.results import SurveyResult, survey_result
 from surveysim.results.stopping import StoppingCriteria, check_limits, stopping_rule
 from surveysim.runtime.engine import SERIAL, Engine, defer_signals
@@ -134,6 +131,8 @@ def run_survey(
 def _ready_for_the_end(setup: Setup, figures: bool) -> None:
     """Do what the end of a run needs: expectations of the scores, and the library for figures."""
     if setup.scene.score is not None:
+        from surveysim.results.control_variate import known_expectations
+
         known_expectations(setup)
     if figures:
         with defer_signals(), suppress(Exception):  # each figure that can't be drawn is reported at the end
@@ -147,16 +146,6 @@ def finished_survey(scene: Scene, out: Path) -> SurveyResult:
     beside = scene.map.maker != "binned"  # the maps need more than the checkpoint
     coadds = run_observations(setup, checkpoint if beside else None, SERIAL, nodes=nodes, resume=beside)
     return survey_result(setup, coadds, wall_s=perf_counter() - start, workers=1)
-
-
-def forecast_survey(scene: Scene | str | Path, out: str | Path | None = None, *, force: bool = False) -> Forecast:
-    """Forecast the scores of a scene of one band; parameters and errors are those of `surveysim.forecast`."""
-    scene = scene_as_given(scene)
-    found = forecast_scene(prepare(scene))
-    if out is not None:
-        with claimed(Path(out), of_forecast(scene), force) as place, replacing(place) as new:
-            write_forecast(new, found)
-    return found
 
 
 def scene_as_given(scene: Scene | str | Path) -> Scene:

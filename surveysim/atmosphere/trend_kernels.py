@@ -218,7 +218,12 @@ def _point_weights(strip, lane, column, place, weight, trend, coefficients, scal
         for k in range(m + 1, n_trend):
             total -= factor[k, m] * change[k]
         change[m] = total / factor[m, m] if factor[m, m] > 0.0 else 0.0
-    return change @ weight
+    # Not `change @ weight`: numba imports scipy.linalg for it in compiled code, where an interrupt aborts the process.
+    of_points = np.zeros(n_point)
+    for m in range(n_trend):
+        for i in range(n_point):
+            of_points[i] += change[m] * weight[m, i]
+    return of_points
 
 
 @njit(cache=True, nogil=True)

@@ -13,7 +13,8 @@ from typing import Any, TextIO
 import typer
 
 from mapmaker.printable import LONGEST, printable, shortened
-from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE, asked_to_stop, cause
+from mapmaker.stop_signals import EXIT_INTERRUPTED, asked_to_stop
+from surveysim.cli.interrupts import EXIT_FAILED, EXIT_WRONG_SCENE, cause
 from surveysim.runtime.errors import SceneError
 
 EXIT_BROKEN_PIPE = 141  # as after SIGPIPE: 128 plus its number

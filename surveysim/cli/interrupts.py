@@ -1,53 +1,35 @@
 """Early ends of a command: stop signals, lost workers, outputs that cannot be written."""
 
 import shlex
-import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from errno import EMFILE, ENFILE
 from pathlib import Path
-from threading import Event
 from typing import Any, NoReturn
 
 import typer
 
 from mapmaker.printable import complain
+from mapmaker.stop_signals import EXIT_INTERRUPTED, asked_to_stop
 from surveysim.runtime.errors import InputError, SceneError
 
 EXIT_FAILED = 1
 EXIT_WRONG_SCENE = 2
-EXIT_INTERRUPTED = 130
+NOTHING_KEPT = "no work is kept, the same command starts anew"
 
-_asked_to_stop = Event()
 _arguments: list[str] = []  # of the command, for the hint how to resume it
 
 
-def listen(arguments: Sequence[str]) -> None:
-    """Handle Ctrl-C and SIGTERM alike, from the start of a command: finished work is kept."""
-    _asked_to_stop.clear()
+def remember(arguments: Sequence[str]) -> None:
+    """Remember the command line for `resuming_command`."""
     _arguments[:] = arguments
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _stop_once)
-
-
-def _stop_once(number: int, frame: object) -> None:
-    """Interrupt the run, once: a second Ctrl-C would only interrupt the saving of its checkpoint."""
-    for each in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(each, signal.SIG_IGN)
-    _asked_to_stop.set()
-    raise KeyboardInterrupt  # lost in a finalizer, or wrapped by an import: `stopping` raises it again
-
-
-def asked_to_stop() -> bool:
-    """Return whether this process was interrupted since `listen`."""
-    return _asked_to_stop.is_set()
 
 
 def stopping(show: Callable[..., None]) -> Callable[..., None]:
     """Wrap a progress function to end a run whose interrupt was lost in a finalizer."""
 
     def progress(*state: Any) -> None:
-        if _asked_to_stop.is_set():
+        if asked_to_stop():
             raise KeyboardInterrupt
         show(*state)
 
@@ -99,8 +81,10 @@ def resuming_command(arguments: Sequence[str], directory: Path) -> str:
 
 
 def _stopped(reason: str, directory: Path, code: int) -> NoReturn:
-    """Report why a run stopped and how to resume it."""
-    hint = _hint(directory)
+    """Report why a run stopped and how to resume it; an interrupt that became another error is one all the same."""
+    if asked_to_stop() and code != EXIT_INTERRUPTED:
+        reason, code = f"interrupted: {reason}", EXIT_INTERRUPTED
+    hint = _hint(directory) or (NOTHING_KEPT if code == EXIT_INTERRUPTED else "")
     complain("; ".join([" ".join(reason.split()), *([hint] if hint else [])]))
     raise typer.Exit(code)
 

@@ -2,10 +2,19 @@
 
 import gc
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
+
+from mapmaker.stop_signals import (
+    EXIT_INTERRUPTED,
+    TOO_LATE,
+    asked_to_stop,
+    end_at_signals,
+    ignore_signals,
+    interrupt_work,
+    keep_exit_code,
+)
 
 WITHOUT_NOTICES = {"-q", "--quiet", "-h", "--help", "--version"}
 COMPLETION = "_SURVEYSIM_COMPLETE"  # set by a shell that asks for completions
@@ -13,8 +22,7 @@ COMPLETION = "_SURVEYSIM_COMPLETE"  # set by a shell that asks for completions
 
 def main() -> NoReturn:
     """Run a command: exit code 0 for success, 2 for user errors, 1 for other errors, 130 when interrupted."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupted_at_start)
+    end_at_signals(_clean_up)
     from surveysim.runtime.environment import clean_up, settle
 
     notice = settle()
@@ -22,25 +30,23 @@ def main() -> NoReturn:
         code = ended(sys.argv[1:], notice)
     finally:
         clean_up()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # the command is done
+    keep_exit_code()
     gc.freeze()  # Python searches all objects for cycles at exit, several times: a third of a short run
     sys.exit(code)
 
 
-def _interrupted_at_start(number: int, frame: object) -> NoReturn:
-    """End at once: no work has begun, and a library that is being imported could lose or wrap an exception."""
+def _clean_up() -> None:
+    """Remove what `settle` has made, if it has begun."""
     environment = sys.modules.get("surveysim.runtime.environment")  # an import here could wait for a running one
     if hasattr(environment, "clean_up"):
         environment.clean_up()
-    try:
-        os.write(2, b"interrupted\n")
-    finally:
-        os._exit(130)
 
 
 def ended(arguments: Sequence[str], notice: str | None = None) -> int:
-    """Return the exit code of a command at its end; a failure prints one line to standard error."""
+    """Return the exit code of a command at its end; a failure prints one line to standard error.
+
+    Signals are ignored from then on.
+    """
     try:  # before anything else fails: there may be no memory left for imports then
         from mapmaker.printable import complain, printable
         from surveysim.cli.failures import broken_stream, failure
@@ -51,17 +57,21 @@ def ended(arguments: Sequence[str], notice: str | None = None) -> int:
     try:
         if notice and not WITHOUT_NOTICES & set(arguments):
             complain(notice)
-        code = _run(arguments)
+        code, message = _run(arguments), ""
         sys.stdout.flush()
+        ignore_signals()
     except BaseException as error:
+        ignore_signals()
         code, message = failure(error, arguments)
         for argument in arguments:  # a line break in a file name must not break the message
             message = message.replace(argument, printable(argument)) if "\n" in argument else message
-        try:
-            if message:
-                complain(message)
-        except OSError:
-            broken_stream(sys.stderr)  # nowhere is left to say it
+    if asked_to_stop() and not code:
+        code, message = EXIT_INTERRUPTED, TOO_LATE
+    try:
+        if message:
+            complain(message)
+    except OSError:
+        broken_stream(sys.stderr)  # nowhere is left to say it
     return code
 
 
@@ -71,12 +81,13 @@ def _run(arguments: Sequence[str]) -> int:
     from typer.main import get_command
 
     from surveysim.cli.app import app
-    from surveysim.cli.interrupts import EXIT_WRONG_SCENE, listen
+    from surveysim.cli.interrupts import EXIT_WRONG_SCENE, remember
 
     command = get_command(app)
     if COMPLETION in os.environ:
         command.main(list(arguments), "surveysim")
-    listen(arguments)
+    remember(arguments)
+    interrupt_work(_clean_up)
     try:
         with command.make_context("surveysim", list(arguments) or ["--help"]) as context:
             command.invoke(context)

@@ -13,7 +13,6 @@ import numpy as np
 from mapmaker.printable import complain
 from surveysim.cli.interrupts import stopping
 from surveysim.reduction.setup import Setup, signal_sim_observations
-from surveysim.results.stopping import estimate_so_far
 from surveysim.runtime.numbers import plain, quoted
 from surveysim.scene.scene import Scene
 from surveysim.survey.coadd_tree import CoAddTree
@@ -228,6 +227,8 @@ def score_so_far(setup: Setup, sums: CoAddTree) -> str:
     with_sims = signal_sim_observations(setup.scene)[: sums.done].sum()
     if setup.scene.score is None or sums.done < 2 or with_sims < 2:
         return ""
+    from surveysim.results.so_far import estimate_so_far
+
     found = estimate_so_far(setup, sums.so_far())
     if found is None or not math.isfinite(found.error_ukcmb2):
         return ""

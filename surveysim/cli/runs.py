@@ -269,7 +269,7 @@ def forecast(
         forecast_bands(scenes, out, force=force, verbose=verbose, quiet=quiet)
         return
     setup = ready_setup(scene, settings)
-    from surveysim.api.surveys import forecast_survey
+    from surveysim.api.forecasts import forecast_survey
     from surveysim.report.terminal.forecast import print_forecast
 
     try:

@@ -2,7 +2,6 @@
 
 from hashlib import sha256
 
-from surveysim.metrics.registry import metric_table_names
 from surveysim.output.record import Results
 from surveysim.output.scene_copy import bands_files, scene_files
 from surveysim.reduction.setup import Setup
@@ -63,8 +62,16 @@ def of_point(setup: Setup, keep_all: bool) -> Results:
 
 
 def _run_names(scene: Scene) -> tuple[str, ...]:
-    tables = (*_TABLES, *(metric_table_names(scene.score) if scene.score else ()))
+    tables = (*_TABLES, *_metric_tables(scene))
     return (*COMMON, SCORES, *SPECTRA, *(f"tables/{name}.ecsv" for name in tables))
+
+
+def _metric_tables(scene: Scene) -> tuple[str, ...]:
+    if scene.score is None:
+        return ()
+    from surveysim.metrics.registry import metric_table_names
+
+    return tuple(metric_table_names(scene.score))
 
 
 def _map_names(setup: Setup) -> tuple[str, ...]:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from surveysim.results.metric_tables import metric_file_table
-from surveysim.results.metrics import metric_tables
 from surveysim.results.results import SurveyResult
 from surveysim.results.sensitivity import sensitivity_tables
 from surveysim.results.sky_tables import flux_table, sky_transfer_table
@@ -26,6 +25,8 @@ def run_tables(result: SurveyResult, summary: dict[str, Any]) -> dict[str, Table
     """Return all tables of a run by name of the file, `summary` being the content of its summary.json."""
     tables = {"observations": observation_table(result), "timestream_psd": timestream_table(result)}
     if result.scores:
+        from surveysim.results.metrics import metric_tables
+
         reference = result.setup.scene.score.reference
         meta = {"temperature": "CMB", "reference": reference.source if reference else "none"}
         tables["scores"] = score_table(summary["scores"], meta=meta | _survey_part(result))

@@ -5,15 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.uncertainty import draws, ratio_error, student_factor, subtract_in_quadrature
-from surveysim.forecasting.forecast import DataSetForecast, Forecast, can_forecast, forecast
+from surveysim.forecasting.forecast import DataSetForecast
 from surveysim.forecasting.validity import compared_ell
 from surveysim.reduction.setup import Setup
-from surveysim.runtime.errors import NotForecastableError
-from surveysim.survey.coadds import CoAdds, kept_shares
+from surveysim.results.results import GOOD_PSD, KNOWN, SurveyResult
 from surveysim.survey.scores import DataSetScore, bin_errors, noise_parts
-
-GOOD_SIGMA, GOOD_PSD = 0.1, 0.15  # relative accuracy of a forecast
-KNOWN = GOOD_PSD / 2  # largest standard error of a ratio that can be called good
 
 
 @dataclass(frozen=True)
@@ -45,12 +41,10 @@ class Agreement:
     unknown: int = 0
 
 
-def run_forecast(setup: Setup, coadds: CoAdds) -> Forecast | None:
-    """Return the forecast of a run's own observations and kept scans; None for a scene without one."""
-    try:
-        return forecast(setup, kept_shares(setup, coadds)) if can_forecast(setup) else None
-    except NotForecastableError:  # the run goes on without a forecast
-        return None
+def forecast_agreement(result: SurveyResult) -> dict[str, Agreement]:
+    """Return the agreement of the forecast of each data set with the run; empty without a forecast."""
+    expected = result.expected.scores if result.expected else {}
+    return {name: agreement(result.setup, result.scores[name], item) for name, item in expected.items()}
 
 
 def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -> Agreement:
@@ -106,15 +100,6 @@ def _scatter(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -
     total = ratio_error((simulated.weights * kept)[some], (expected.weights * kept)[some], block)
     _, common = noise_parts(setup.analysis, simulated)
     return subtract_in_quadrature(total, common) * student_factor(draws(int(np.count_nonzero(some)), block))
-
-
-def quoted_forecast(simulated: DataSetScore, expected: DataSetForecast) -> float:
-    """Return the forecast of sigma(A) [uK_CMB^2] for the weather of the quoted score.
-
-    Its ratio to the quoted score is that of the plain ones. A score with the forecast as control variate is for all
-    weather, hence this forecast too.
-    """
-    return expected.band.sigma_ukcmb2 * simulated.band.sigma_ukcmb2 / simulated.plain_band.sigma_ukcmb2
 
 
 def _bin_ratios(

@@ -1,13 +1,12 @@
 """Closure tests of a run: noise levels, transfer function and weather against their inputs."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from surveysim.atmosphere.water import pwv_quantile
 from surveysim.atmosphere.weather import b2_quantile, season_quantiles
-from surveysim.forecasting.forecast import Forecast
 from surveysim.reduction.setup import Setup
 from surveysim.scene.units import b2_unit
 from surveysim.scene.weather_table import OF_B2
@@ -16,6 +15,9 @@ from surveysim.survey.scores import DataSetScore
 from surveysim.telescope.noise_levels import white_levels
 from surveysim.timestreams.response import present_steps
 from surveysim.timestreams.simulation import camera_white
+
+if TYPE_CHECKING:
+    from surveysim.forecasting.forecast import Forecast
 
 QUARTILES = (0.25, 0.5, 0.75)
 
@@ -45,7 +47,7 @@ class ClosureTest:
 
 
 def closure_tests(
-    setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore], expected: Forecast | None
+    setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore], expected: "Forecast | None"
 ) -> tuple[ClosureTest, ...]:
     """Return the closure tests of the stages that a run has.
 
@@ -77,7 +79,7 @@ def _white(setup: Setup, coadds: CoAdds) -> list[ClosureTest]:
     return [ClosureTest("measured", name, "mK2 / Hz", set_to, *_mean(measured[known]))]
 
 
-def _signal(scores: dict[str, DataSetScore], expected: Forecast | None) -> list[ClosureTest]:
+def _signal(scores: dict[str, DataSetScore], expected: "Forecast | None") -> list[ClosureTest]:
     """Compare the transfer function of the scored bins by forecast and by simulated skies, once for each."""
     rows, seen = [], set()
     for name, item in scores.items():

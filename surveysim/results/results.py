@@ -4,15 +4,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from surveysim.forecasting.forecast import DataSetForecast, Forecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.data_set import DataSetKind, scaled_name
 from surveysim.reduction.setup import Setup
-from surveysim.results.agreement import Agreement, agreement, quoted_forecast, run_forecast
-from surveysim.results.alternatives import alternatives
-from surveysim.results.control_variate import quoted_scores
-from surveysim.results.gains import data_set_gains
-from surveysim.results.metrics import MetricResults, survey_metrics
 from surveysim.results.sky_recovery import SkyRecovery, sky_recoveries
 from surveysim.results.spectra import spectra_warnings
 from surveysim.results.stopping import (
@@ -36,13 +30,20 @@ from surveysim.survey.coadds import CoAdds
 from surveysim.survey.convergence import convergence_warnings
 from surveysim.survey.discarded_scans import Discards, discards
 from surveysim.survey.error_modes import Gain
-from surveysim.survey.scores import DataSetScore, flux_removed
+from surveysim.survey.scores import DataSetScore
 from surveysim.survey.signal_coverage import signal_coverage_warnings
 from surveysim.survey.split_spectra import SurveySpectra, survey_spectra
 
 if TYPE_CHECKING:
     from astropy.table import QTable
     from matplotlib.figure import Figure
+
+    from surveysim.forecasting.forecast import DataSetForecast, Forecast
+    from surveysim.results.metrics import MetricResults
+    from surveysim.results.scored import Scored
+
+GOOD_SIGMA, GOOD_PSD = 0.1, 0.15  # relative accuracy of a forecast
+KNOWN = GOOD_PSD / 2  # largest standard error of a ratio that can be called good
 
 
 @dataclass(frozen=True)
@@ -121,8 +122,8 @@ class SurveyResult:
     gains: dict[str, Gain]
     alternatives: list[dict[str, float | str]]
     flux_removed: dict[str, float]
-    expected: Forecast | None
-    metrics: MetricResults
+    expected: "Forecast | None"
+    metrics: "MetricResults"
     wall_s: float
     workers: int
     unscored: str
@@ -232,20 +233,16 @@ def survey_result(
     engine: str = SERIAL.kind,
 ) -> SurveyResult:
     """Score the sums of a run; a survey that can't be scored keeps its maps and the reason."""
-    scores, ratios, others, removed, unscored = {}, {}, [], {}, ""
-    expected, metrics = None, {}
+    found: Scored = {}, {}, [], {}, None, {}
+    unscored = ""
     if setup.scene.score is not None:
+        from surveysim.results.scored import scored_parts
+
         try:
-            scores = quoted_scores(setup, coadds)
-            ratios, others = data_set_gains(setup, scores), alternatives(setup, coadds, scores)
-            removed = flux_removed(setup.analysis, coadds)
+            found = scored_parts(setup, coadds)
         except InsufficientDataError as error:  # too few observations, or too few scans kept in them
-            scores, ratios, others, removed, unscored = {}, {}, [], {}, str(error)
-        else:
-            expected = run_forecast(setup, coadds)
-            metrics = survey_metrics(setup, scores, expected)
+            unscored = str(error)
     spectra, no_spectra = _spectra(setup, coadds)
-    found = scores, ratios, others, removed, expected, metrics
     return SurveyResult(setup, coadds, *found, wall_s, workers, unscored, limits, engine, spectra, no_spectra)
 
 
@@ -277,16 +274,19 @@ def score_rows(result: SurveyResult) -> list[Row]:
     return [replace(row, reference_ukcmb2=values.get(row.name)) for row in rows]
 
 
-def _row(item: DataSetScore, expected: DataSetForecast | None) -> Row:
+def _row(item: DataSetScore, expected: "DataSetForecast | None") -> Row:
     band, sigma = item.band, quoted_forecast(item, expected) if expected else None
     sigmas = band.sigma_ukcmb2, band.error_ukcmb2, item.plain_band.sigma_ukcmb2
     return Row(item.name, item.kind, item.n_det, *sigmas, band.ell_eff, band.fwhm_ell, sigma, None)
 
 
-def forecast_agreement(result: SurveyResult) -> dict[str, Agreement]:
-    """Return the agreement of the forecast of each data set with the run; empty without a forecast."""
-    expected = result.expected.scores if result.expected else {}
-    return {name: agreement(result.setup, result.scores[name], item) for name, item in expected.items()}
+def quoted_forecast(simulated: DataSetScore, expected: "DataSetForecast") -> float:
+    """Return the forecast of sigma(A) [uK_CMB^2] for the weather of the quoted score.
+
+    Its ratio to the quoted score is that of the plain ones. A score with the forecast as control variate is for all
+    weather, hence this forecast too.
+    """
+    return expected.band.sigma_ukcmb2 * simulated.band.sigma_ukcmb2 / simulated.plain_band.sigma_ukcmb2
 
 
 def score_entries(result: SurveyResult) -> dict[str, dict[str, float | str | None]]:

@@ -1,6 +1,5 @@
 """Stages of a run, and stages left out with their reasons."""
 
-from surveysim.forecasting.forecast import can_forecast, why_no_forecast
 from surveysim.reduction.data_set import scaled_name
 from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.runtime.numbers import joined
@@ -47,11 +46,18 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
         if scene.spectra:
             counts = [f"{split.name} ({len(split.parts)} parts)" for split in setup.analysis.splits.splits]
             stages["spectra"] = f"cross-spectra and null tests of splits by {joined(counts)}"
-        if can_forecast(setup):
+        if _why_no_forecast(setup) is None:
             stages["forecast"] = "closed form, for each data set"
     if scene.map.healpix_nside:
         stages["HEALPix"] = f"maps at nside {scene.map.healpix_nside}"
     return stages
+
+
+def _why_no_forecast(setup: Setup) -> str | None:
+    """Say why a scene with a score has no forecast; None if it has one."""
+    from surveysim.forecasting.forecast import why_no_forecast
+
+    return why_no_forecast(setup)
 
 
 def _maker(scene: Scene) -> str:
@@ -86,8 +92,8 @@ def left_out(setup: Setup) -> dict[str, str]:
         reasons["other bands"] = "no pipeline subtracts them"
     if scene.score is None:
         reasons |= dict.fromkeys(("transfer function", "forecast", "best pipeline"), "no section [score]")
-    elif not can_forecast(setup):
-        reasons["forecast"] = why_no_forecast(setup)
+    elif reason := _why_no_forecast(setup):
+        reasons["forecast"] = reason
     if scene.score and not setup.analysis.chooses:
         reasons["best pipeline"] = "no cleaning.compare"
     if not scene.map.healpix_nside:

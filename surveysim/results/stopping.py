@@ -11,9 +11,7 @@ from time import perf_counter
 
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.setup import Setup, signal_sim_observations
-from surveysim.results.control_variate import quoted_scores
-from surveysim.results.metrics import relative_error
-from surveysim.runtime.errors import InputError, InsufficientDataError, SceneError
+from surveysim.runtime.errors import InputError, SceneError
 from surveysim.scene.metrics import SIGMA_KEY, metric_keys
 from surveysim.scene.scene import Scene
 from surveysim.scene.units import shown, to_float
@@ -144,6 +142,8 @@ def stopping_rule(setup: Setup, limits: StoppingCriteria, begun: float) -> Calla
 
     def stops(sums: CoAddTree) -> bool:
         if limits.target_error is not None and may_end(setup.scene, sums.done):
+            from surveysim.results.so_far import error_so_far
+
             error = error_so_far(setup, sums.so_far(), limits.metric)
             if error is not None and error <= limits.target_error:
                 return True
@@ -175,24 +175,6 @@ def stop_reason(setup: Setup, limits: StoppingCriteria, done: int, error: float 
         return "sweep"
     reached = error is not None and limits.target_error is not None and error <= limits.target_error
     return "target" if reached and may_end(setup.scene, done) else "budget"
-
-
-def estimate_so_far(setup: Setup, coadds: CoAdds) -> Estimate | None:
-    """Return the best estimate from the observations so far; None without one."""
-    if setup.scene.map.solved and not coadds.convergence:
-        return None
-    try:
-        return best_estimate(quoted_scores(setup, coadds, (ACTUAL,)))
-    except InsufficientDataError:  # too few scans are kept so far
-        return None
-
-
-def error_so_far(setup: Setup, coadds: CoAdds, metric: str) -> float | None:
-    """Return the relative error of a metric of the actual data from the observations so far; None without a score."""
-    try:
-        return relative_error(setup, quoted_scores(setup, coadds, (ACTUAL,))[ACTUAL], metric)
-    except InsufficientDataError:  # too few scans are kept so far
-        return None
 
 
 def best_estimate(scores: dict[str, DataSetScore]) -> Estimate | None:

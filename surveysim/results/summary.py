@@ -1,17 +1,16 @@
 """The content of summary.json of a run."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from surveysim.forecasting.forecast import DataSetForecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL, CleaningPipeline
 from surveysim.reduction.design_warnings import design_warnings
 from surveysim.reduction.figure_of_merit import TARGETS, best_places
 from surveysim.reduction.setup import Setup
 from surveysim.results.closure import closure_tests
 from surveysim.results.metric_tables import metric_entries
-from surveysim.results.results import SurveyResult, forecast_agreement, score_entries
+from surveysim.results.results import SurveyResult, score_entries
 from surveysim.results.sensitivity import saturation_warnings, sensitivities, sensitivity_entries
 from surveysim.results.sky_tables import sky_entry
 from surveysim.results.spectra import spectra_entry
@@ -24,6 +23,9 @@ from surveysim.survey.convergence import map_maker_entry
 from surveysim.survey.rows import row_names
 from surveysim.survey.scores import DataSetScore
 from surveysim.telescope.scans import samples_per_scan
+
+if TYPE_CHECKING:
+    from surveysim.forecasting.forecast import DataSetForecast
 
 PSD_AT_HZ = (0.01, 0.1, 1.0)
 
@@ -85,6 +87,8 @@ def summary(result: SurveyResult) -> dict[str, Any]:
 
 def _scored_entries(result: SurveyResult) -> dict[str, Any]:
     """Entries of a run with a score."""
+    from surveysim.results.agreement import forecast_agreement
+
     expected = result.expected.scores if result.expected else {}
     region, entries = result.setup.analysis.region, dict[str, Any]()
     entries["estimate"] = known(vars(result.estimate))
@@ -169,7 +173,7 @@ def _stopped_entry(result: SurveyResult) -> dict[str, Any]:
     return entry
 
 
-def _forecast_entry(item: DataSetForecast) -> dict[str, Any]:
+def _forecast_entry(item: "DataSetForecast") -> dict[str, Any]:
     return {"discarded": item.kept.discarded, "effects": [vars(effect) for effect in item.effects]}
 
 

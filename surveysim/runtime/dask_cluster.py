@@ -21,6 +21,7 @@ from surveysim.runtime.addresses import address_of
 from surveysim.runtime.interrupt_signals import hide_main_module, ignore_sigint_in_children
 from surveysim.runtime.items import Answer, Items, LargeResults
 from surveysim.runtime.memory import keep_freed_memory
+from surveysim.runtime.messages import sendable
 from surveysim.runtime.worker_loss import EngineError, log, too_many_losses
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def run_unit(job: bytes, items: bytes, version: str) -> Answers:
             for item in units:
                 results.append(work(item))
     except Exception as error:  # whatever it is, the parent decides
-        return Answers(results, error, perf_counter() - start)
+        return Answers(results, sendable(error), perf_counter() - start)
     return Answers(results, None, perf_counter() - start)
 
 

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from types import ModuleType
 
+from mapmaker.stop_signals import NUMBERS
+
 
 @contextmanager
 def defer_signals() -> Iterator[None]:
@@ -16,10 +18,7 @@ def defer_signals() -> Iterator[None]:
         yield
         return
     waiting: list[int] = []
-    previous = {
-        number: signal.signal(number, lambda number, frame: waiting.append(number))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
+    previous = {number: signal.signal(number, lambda number, frame: waiting.append(number)) for number in NUMBERS}
     try:
         yield
     finally:

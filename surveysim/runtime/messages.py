@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from surveysim.runtime.text_files import one_line
+
 if TYPE_CHECKING:
     from socket import socket
 
@@ -20,12 +22,32 @@ def send(channel: "socket", value: Any) -> None:
     OSError
         If the other end is closed.
     """
+    send_parts(channel, pickled(value))
+
+
+def pickled(value: Any) -> list[memoryview]:
+    """Pickle a value, arrays apart from the rest; what pickling raises passes on."""
     arrays: list[pickle.PickleBuffer] = []
     text = pickle.dumps(value, protocol=5, buffer_callback=arrays.append)
-    parts = [memoryview(text), *(array.raw() for array in arrays)]
+    return [memoryview(text), *(array.raw() for array in arrays)]
+
+
+def send_parts(channel: "socket", parts: list[memoryview]) -> None:
+    """Send a value from `pickled`; OSError if the other end is closed."""
     channel.sendall(struct.pack(f"<{1 + len(parts)}Q", len(parts), *(part.nbytes for part in parts)))
     for part in parts:
         channel.sendall(part)
+
+
+def sendable(error: Exception) -> Exception:
+    """Return an error that another process can unpickle: the same one, or one with its type and text."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception as reason:
+        found = RuntimeError(f"{type(error).__qualname__}: {one_line(error)}")
+        found.add_note(f"the error itself can't be sent by a worker: {one_line(reason)}")
+        return found
+    return error
 
 
 def receive(channel: "socket") -> Any:

@@ -21,7 +21,7 @@ from surveysim.runtime.environment import postpone_unused
 from surveysim.runtime.interrupt_signals import defer_signals, hide_main_module, ignore_sigint_in_children
 from surveysim.runtime.items import Answer, Items
 from surveysim.runtime.memory import keep_freed_memory
-from surveysim.runtime.messages import receive, send
+from surveysim.runtime.messages import pickled, receive, send, send_parts, sendable
 from surveysim.runtime.worker_loss import LOSSES_ALLOWED, EngineError, log, too_many_losses
 
 TAKEN_AHEAD = 2  # items that wait at a worker, so that it does not wait for the parent
@@ -181,15 +181,25 @@ def _work(pickled_job: bytes, channel: socket.socket) -> None:
             try:
                 answers.put((number, job(item), None))
             except Exception as error:  # whatever it is, the parent decides
-                answers.put((number, None, error))
+                answers.put((number, None, sendable(error)))
     except (EOFError, OSError):
         return
 
 
 def _send_all(channel: socket.socket, answers: "SimpleQueue[Answer]") -> None:
-    """Send answers as they come; the process ends with the first that can't be sent, which the parent notices."""
+    """Send answers as they come; the process ends when the parent is gone."""
     try:
         while True:
-            send(channel, answers.get())
+            send_parts(channel, _pickled(answers.get()))
     finally:
         os._exit(1)
+
+
+def _pickled(answer: Answer) -> list[memoryview]:
+    """Pickle an answer, or for a result that can't be pickled the error that says so."""
+    number, result, _ = answer
+    try:
+        return pickled(answer)
+    except Exception as error:
+        error.add_note(f"a result of type {type(result).__qualname__} can't be sent by a worker")
+        return pickled((number, None, sendable(error)))

@@ -6,7 +6,7 @@ from surveysim.reduction.resource_limits import LEAF
 
 SPAN_S = 4.0  # of work in a span: its sums come back once, a killed run loses them
 SPAN_S_A_WORKER = 0.02  # of work in a span for each worker: at most fifty come back a second
-_SHARES = 4  # spans a worker that are left when a large span begins, so that all workers end together
+_SHARES = 2  # spans a worker that are left when a large span begins, so that all workers end together
 _FEW_WORKERS = 32  # that share their last observations one by one
 _UNTIMED = 8  # observations that are handed out before the first has told its time
 

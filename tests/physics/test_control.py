@@ -11,7 +11,7 @@ from surveysim.forecasting.noise_model import noise_models
 from surveysim.forecasting.observing_conditions import observing_conditions, population_draws
 from surveysim.reduction.setup import prepare
 from surveysim.results.control_variate import expectations, quoted_scores
-from surveysim.results.stopping import estimate_so_far
+from surveysim.results.so_far import estimate_so_far
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.survey.run import run_observations
 from tests.seeds import shared_expectations

@@ -22,7 +22,7 @@ from surveysim.forecasting.observing_conditions import (
 )
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare
-from surveysim.results.results import forecast_agreement
+from surveysim.results.agreement import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene

@@ -11,7 +11,7 @@ from surveysim import run, simulate_observation
 from surveysim.forecasting.forecast import forecast
 from surveysim.forecasting.mode_response import matrix_power, projected_array
 from surveysim.reduction.setup import prepare
-from surveysim.results.results import forecast_agreement
+from surveysim.results.agreement import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene

@@ -20,7 +20,7 @@ from surveysim.forecasting.noise_model import noise_models
 from surveysim.forecasting.observing_conditions import observing_conditions, survey_draws
 from surveysim.forecasting.scan_apodization import scan_apodization
 from surveysim.reduction.setup import prepare
-from surveysim.results.results import forecast_agreement
+from surveysim.results.agreement import forecast_agreement
 from surveysim.results.summary import summary
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError

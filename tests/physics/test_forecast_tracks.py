@@ -5,7 +5,7 @@ from functools import cache
 import pytest
 
 from surveysim import run
-from surveysim.results.results import forecast_agreement
+from surveysim.results.agreement import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
 from tests.scenes import SMALL_SCENE, WIDE_PATCH, with_scan, without_sections

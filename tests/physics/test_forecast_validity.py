@@ -9,7 +9,7 @@ import pytest
 from surveysim import run
 from surveysim.forecasting.forecast import forecast
 from surveysim.reduction.setup import prepare
-from surveysim.results.results import forecast_agreement
+from surveysim.results.agreement import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
 from tests.scenes import SMALL_SCENE, WIDE_PATCH

@@ -12,7 +12,7 @@ from mapmaker.timestreams import FocalPlane
 from surveysim import run
 from surveysim.forecasting.forecast import forecast
 from surveysim.reduction.setup import prepare
-from surveysim.results.results import forecast_agreement
+from surveysim.results.agreement import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.passband import Passband, top_hat
 from surveysim.scene.scene import load_scene

@@ -8,7 +8,7 @@ from surveysim import run
 from surveysim.forecasting.forecast import forecast
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare
-from surveysim.results.results import forecast_agreement
+from surveysim.results.agreement import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
 from surveysim.timestreams.expected_losses import sampled_share

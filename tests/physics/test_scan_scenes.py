@@ -3,7 +3,7 @@
 import pytest
 
 from surveysim import run
-from surveysim.results.results import forecast_agreement
+from surveysim.results.agreement import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
 

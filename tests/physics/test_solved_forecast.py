@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surveysim import run
-from surveysim.results.results import forecast_agreement
+from surveysim.results.agreement import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from tests.physics.test_forecast_validity import UNMASKED, Case
 

@@ -5,7 +5,8 @@ import pytest
 
 from surveysim import run
 from surveysim.reduction.setup import prepare
-from surveysim.results.stopping import FEWEST, best_estimate, estimate_so_far
+from surveysim.results.so_far import estimate_so_far
+from surveysim.results.stopping import FEWEST, best_estimate
 from surveysim.runtime.engine import SERIAL
 from surveysim.survey.run import run_observations
 from tests.seeds import shared_expectations

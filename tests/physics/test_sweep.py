@@ -122,7 +122,7 @@ def test_paired_error_of_a_small_change(tmp_path, monkeypatch):
 
     Detectors share a tenth of the photon noise, so maps of the points are not proportional.
     """
-    monkeypatch.setattr("surveysim.results.results.run_forecast", lambda setup, coadds: None)
+    monkeypatch.setattr("surveysim.results.scored.run_forecast", lambda setup, coadds: None)
     log_ratio, paired, independent = seeds_of(tmp_path, NO_AIR, MORE_DETECTOR_NOISE, 24)
     assert_right(log_ratio, paired)
     assert np.sqrt(np.mean(paired**2)) < np.sqrt(np.mean(independent**2)) / 3
@@ -135,7 +135,7 @@ def test_paired_error_of_a_small_change(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_ratio_of_proportional_maps_is_exact(tmp_path, monkeypatch):
     """White noise of photons and of detectors is one draw: 5 and 6.25 mK^2/Hz make proportional float32 maps."""
-    monkeypatch.setattr("surveysim.results.results.run_forecast", lambda setup, coadds: None)
+    monkeypatch.setattr("surveysim.results.scored.run_forecast", lambda setup, coadds: None)
     scene = NO_AIR.replace("coherent_fraction = 0.1", "coherent_fraction = 0")
     log_ratio, paired, independent = seeds_of(tmp_path, scene, MORE_DETECTOR_NOISE, 2)
     np.testing.assert_allclose(log_ratio, np.log(1.25), atol=1e-5)
@@ -145,7 +145,7 @@ def test_ratio_of_proportional_maps_is_exact(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_paired_error_where_little_is_common(tmp_path, monkeypatch):
     """Another scan speed: other maps of the same streams and skies."""
-    monkeypatch.setattr("surveysim.results.results.run_forecast", lambda setup, coadds: None)
+    monkeypatch.setattr("surveysim.results.scored.run_forecast", lambda setup, coadds: None)
     table = '"scan.speed" = ["4 arcmin / s", "4.5 arcmin / s"]'
     log_ratio, paired, independent = seeds_of(tmp_path, NO_AIR, table, 60)
     assert_right(log_ratio, paired)
@@ -166,7 +166,7 @@ def test_paired_error_in_varying_weather(tmp_path, monkeypatch, table, gained):
 
     Ratios of surveys that lose no scans have no long tails: an excess kurtosis of -0.5 +- 0.8 over 40 seeds.
     """
-    monkeypatch.setattr("surveysim.results.results.run_forecast", lambda setup, coadds: None)
+    monkeypatch.setattr("surveysim.results.scored.run_forecast", lambda setup, coadds: None)
     log_ratio, paired, independent = seeds_of(tmp_path, AIR, table, 30)
     assert_right(log_ratio, paired)
     assert np.sqrt(np.mean(paired**2)) < np.sqrt(np.mean(independent**2)) / gained

@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 from typer.main import get_command
 
+from mapmaker import stop_signals
 from surveysim.cli.main import main
 from tests.scenes import write_scene
 
@@ -16,11 +17,12 @@ get_command_once = cache(get_command)  # a process of a user's runs one command
 
 @pytest.fixture
 def handlers():
-    """The entry point sets signal handlers; a test run keeps its own."""
-    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    """The entry points set signal handlers; a test run keeps its own, and forgets the signals of a test."""
+    kept = {number: signal.getsignal(number) for number in stop_signals.NUMBERS}
     yield
     for number, handler in kept.items():
         signal.signal(number, handler)
+    stop_signals._asked.clear()
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from surveysim.report.html.components import Block, grid
-from surveysim.results.agreement import GOOD_PSD, KNOWN
+from surveysim.results.results import GOOD_PSD, KNOWN
 from surveysim.results.tables import agreement_table, closure_table, effect_table
 from surveysim.runtime.numbers import count, percent
 

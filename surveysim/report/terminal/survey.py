@@ -10,10 +10,9 @@ from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.report.html.page import REPORT
 from surveysim.report.terminal.layout import Terminal
 from surveysim.report.terminal.tables import show_table
-from surveysim.results.agreement import GOOD_SIGMA
 from surveysim.results.method import CONTROLLED, PLAIN, method
 from surveysim.results.metric_tables import label, metric_notes, metric_table
-from surveysim.results.results import SurveyResult
+from surveysim.results.results import GOOD_SIGMA, SurveyResult
 from surveysim.results.sky_tables import recovery_sentences, source_table
 from surveysim.results.spectra import band_power_table, split_sentences, split_table
 from surveysim.results.stopping import UNLIMITED, Estimate

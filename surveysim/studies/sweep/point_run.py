@@ -9,8 +9,8 @@ from time import perf_counter
 from surveysim.forecasting.forecast import Forecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.setup import Setup, prepare
-from surveysim.results.agreement import agreement, quoted_forecast
-from surveysim.results.results import SurveyResult, survey_result
+from surveysim.results.agreement import agreement
+from surveysim.results.results import SurveyResult, quoted_forecast, survey_result
 from surveysim.results.stopping import UNLIMITED, StoppingCriteria
 from surveysim.runtime.errors import InputError
 from surveysim.scene.scene import scene_hash

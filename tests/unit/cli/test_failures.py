@@ -1,5 +1,6 @@
 """Commands that fail: one line, an exit code, and a file with the details of a fault of this program."""
 
+import contextlib
 import errno
 import signal
 import sys
@@ -8,6 +9,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import typer
 
 from mapmaker.printable import LONGEST, MOST_LINES, printable, short_lines, shortened
 from surveysim.cli import interrupts, options
@@ -106,12 +108,31 @@ def test_errors_of_users_and_machines(fail, error, code, line):
 )
 def test_interrupt_that_became_another_error(fail, monkeypatch, error):
     """An import may wrap it: it is an interrupt all the same."""
-    monkeypatch.setattr(interrupts, "listen", lambda: None)
-    interrupts._asked_to_stop.set()
-    try:
-        assert fail(error) == (130, "", ["interrupted"], [])
-    finally:
-        interrupts._asked_to_stop.clear()
+    monkeypatch.setattr("surveysim.cli.main.interrupt_work", lambda clean_up: None)
+    monkeypatch.setattr("mapmaker.stop_signals._asked", [0.0])
+    assert fail(error) == (130, "", ["interrupted"], [])
+
+
+def test_interrupt_that_was_lost(monkeypatch, capsys, handlers):
+    """As in a finalizer: the command goes on to its end, and its exit code says so."""
+    monkeypatch.setattr("surveysim.cli.checks.sweep_of", lost_interrupt)
+    assert ended(["check", "a.toml"]) == 130
+    assert capsys.readouterr() == ("", "interrupted too late: the command is finished\n")
+
+
+def lost_interrupt(*arguments):
+    with contextlib.suppress(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    raise typer.Exit
+
+
+def test_interrupt_that_became_the_loss_of_workers(monkeypatch, capsys, handlers, tmp_path):
+    monkeypatch.setattr("mapmaker.stop_signals._asked", [0.0])
+    with pytest.raises(typer.Exit) as end, interrupts.report_resumable_exit(tmp_path, tmp_path):
+        raise EngineError("the scheduler is gone")
+    assert end.value.exit_code == 130
+    said = "interrupted: the scheduler is gone; no work is kept, the same command starts anew\n"
+    assert capsys.readouterr().err == said
 
 
 def test_interrupted_while_a_command_runs(monkeypatch, capsys, handlers, tmp_path):

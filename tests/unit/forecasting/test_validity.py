@@ -14,8 +14,8 @@ from surveysim.forecasting.pilot import KeptScans, _interpolate_shares, _pilot_s
 from surveysim.forecasting.validity import compared_ell, resolution_ell
 from surveysim.reduction.setup import prepare
 from surveysim.report.terminal.survey import effect_warnings, forecast_warnings
-from surveysim.results.agreement import GOOD_PSD, KNOWN, _scatter, agreement
-from surveysim.results.results import forecast_agreement
+from surveysim.results.agreement import _scatter, agreement, forecast_agreement
+from surveysim.results.results import GOOD_PSD, KNOWN
 from surveysim.results.summary import summary
 from surveysim.results.tables import agreement_table
 from surveysim.runtime.engine import SERIAL

@@ -86,7 +86,7 @@ def test_a_survey_that_cannot_be_scored_keeps_the_reason(result, monkeypatch):
     def refuse(setup, coadds):
         raise InsufficientDataError("too few")
 
-    monkeypatch.setattr("surveysim.results.results.quoted_scores", refuse)
+    monkeypatch.setattr("surveysim.results.scored.quoted_scores", refuse)
     found = survey_result(result.setup, result.coadds, wall_s=0.0, workers=1)
     assert (found.scores, found.metrics, found.unscored, found.expected) == ({}, {}, "too few", None)
 

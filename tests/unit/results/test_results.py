@@ -326,7 +326,7 @@ def test_half_written_files_of_a_killed_run_go(tmp_path):
     assert [name for name in names + mine if (out / name).exists()] == mine
 
 
-@pytest.mark.parametrize("name", ["control_variate.score_survey", "agreement.forecast"])
+@pytest.mark.parametrize("name", ["control_variate.score_survey", "scored.forecast"])
 def test_faults_in_scoring_are_no_refusals(scene_file, monkeypatch, name):
     """An error of numpy passes on; a run that says "not scored" instead would hide it."""
 

@@ -134,7 +134,7 @@ def test_files_of_the_sky(finished):
 
 def test_figure_of_the_sky(finished):
     figure = survey_figures(finished[0])["sky"]()
-    assert [axes.get_title() for axes in figure.axes[::2]][2] == "Transfer function (amplitude)"
+    assert "Transfer function (amplitude)" in [axes.get_title() for axes in figure.axes]
 
 
 def test_without_a_sky_or_a_score_there_is_nothing(tmp_path):

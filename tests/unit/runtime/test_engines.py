@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import re
 import signal
 import threading
 import time
@@ -261,3 +262,47 @@ def test_a_fork_server_that_is_gone_is_one_line(monkeypatch):
     monkeypatch.setattr("multiprocessing.context.ForkServerProcess.start", lost)
     with pytest.raises(EngineError, match="the process that starts workers is gone"):
         list(ordered_map(square_alone, range(4), Engine("processes", workers=2)))
+
+
+class TwoArgumentsError(Exception):
+    """Can be pickled, but not made again."""
+
+    def __init__(self, what, where):
+        super().__init__(f"{what} at {where}")
+
+
+class LockedError(Exception):
+    """Can't be pickled."""
+
+    def __init__(self, text):
+        super().__init__(text)
+        self.lock = threading.Lock()
+
+
+def answers_with_a_lambda(item):
+    return lambda: item
+
+
+def raises_two(item):
+    raise TwoArgumentsError("noise", item)
+
+
+def raises_locked(item):
+    raise LockedError("locked")
+
+
+@pytest.mark.parametrize(
+    "job, words, note",
+    [
+        (raises_two, "TwoArgumentsError: noise at 0", "can't be sent by a worker: .* missing 1 required"),
+        (raises_locked, "LockedError: locked", "can't be sent by a worker: cannot pickle"),
+        (answers_with_a_lambda, "lambda", "a result of type function can't be sent by a worker"),
+    ],
+)
+def test_answers_that_can_not_be_sent_say_why(request, job, words, note):
+    """And no worker is lost with them. Dask sends a lambda."""
+    kinds = [TWO] if job is answers_with_a_lambda else [TWO, request.getfixturevalue("on_a_cluster")]
+    for engine in kinds:
+        with pytest.raises(Exception, match=words) as caught:
+            list(ordered_map(job, range(2), engine))
+        assert re.search(note, caught.value.__notes__[0])
