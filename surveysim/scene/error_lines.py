@@ -14,7 +14,7 @@ from surveysim.scene.unions import is_tag, of_tag
 from surveysim.scene.units import shown
 
 MAX_ERRORS = 30  # lines of an error
-MOST_ELSEWHERE = 3  # keys of other sections that are suggested
+MOST_BELOW = 3  # keys of inner sections that are suggested
 HIDDEN_KEYS = ("assumed", "band")  # attributes of a scene that are no keys of its file
 _EXPECTED = {
     "model_type": "a section is expected",
@@ -70,7 +70,7 @@ def _without_consequences(errors: Sequence[Any]) -> list[Any]:
 
 
 def unknown_key(key: str, scene: type[BaseModel], hidden: Collection[str] = ()) -> str:
-    """Say that a dotted key is unknown, with similar keys, keys of this name elsewhere, or all of its section.
+    """Say that a dotted key is unknown, with similar keys, keys of this name in inner sections, or all of its section.
 
     Parameters
     ----------
@@ -87,19 +87,19 @@ def unknown_key(key: str, scene: type[BaseModel], hidden: Collection[str] = ()) 
         return "unknown key of a scene"
     where = ".".join(part for part in section if not is_tag(part))
     suggestion = did_you_mean(name, allowed, where)
-    # A key of another kind of its section has the same dotted name.
-    elsewhere = [] if suggestion else [other for other in _keys_named(name, scene) if other != f"{where}.{name}"]
-    if 0 < len(elsewhere) <= MOST_ELSEWHERE:
-        suggestion = f"did you mean {' or '.join(elsewhere)}?"
+    below = [] if suggestion else [f"{where}.{other}".lstrip(".") for other in _keys_below(name, scene, section)]
+    if 0 < len(below) <= MOST_BELOW:
+        suggestion = f"did you mean {' or '.join(below)}?"
     return f"unknown key; {suggestion or 'allowed are ' + ', '.join(allowed)}"
 
 
-def _keys_named(name: str, scene: type[BaseModel], location: tuple[str, ...] = ()) -> Iterator[str]:
-    """Yield the dotted keys with a last name, of all sections."""
-    for key in allowed_keys(location, scene):
-        if key == name:
-            yield ".".join((*location, key))
-        yield from _keys_named(name, scene, (*location, key))
+def _keys_below(name: str, scene: type[BaseModel], section: Sequence[str]) -> Iterator[str]:
+    """Yield the keys of a name in the sections within a section, by their dotted name in it."""
+    for part in allowed_keys(section, scene):
+        inner = [*section, part]
+        if name in allowed_keys(inner, scene):
+            yield f"{part}.{name}"
+        yield from (f"{part}.{found}" for found in _keys_below(name, scene, inner))
 
 
 def _line(item: Any, scene: type[BaseModel]) -> str:
