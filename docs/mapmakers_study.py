@@ -58,6 +58,7 @@ class Study:
     def __init__(self) -> None:
         scene = surveysim.load_scene(ROOT / "scenarios" / "lynx.toml")
         streams = [surveysim.simulate_observation(scene, k) for k in range(N_OBS)]
+        self.plane = streams[0].focal_plane
         centre = mm.mean_direction(streams[0].ra_rad, streams[0].dec_rad)
         self.geometry = mm.covering_geometry(*centre, np.radians(20 / 3600), np.radians(36 / 60))
         n, pixel = self.geometry.n_y, self.geometry.pixel_rad
@@ -159,7 +160,7 @@ def likelihood(study: Study, streams: list[np.ndarray], options: GlsOptions, mea
     """Blocks with the noise of streams (n_det, n_samp)."""
     measure = measure_noise if measured == OWN else measure_scan_noise
     return [
-        [NormalBlock(item.index, item.bounds, measure(data, item.bounds, RATE_HZ, options))]
+        [NormalBlock(item.index, item.bounds, measure(data, item.bounds, study.plane, RATE_HZ, options))]
         for item, data in zip(study.observations, streams, strict=True)
     ]
 

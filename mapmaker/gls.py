@@ -7,14 +7,14 @@ For any symmetric N^-1 the expectation of the map is the sky.
 The noise of a scan is assumed stationary and independent of the other scans. N is block diagonal in the discrete cosine
 transform of the scan, which is the Fourier transform of the scan followed by its mirror image: a circulant
 approximation without the step between the end of a scan and its beginning, which for red noise would leak a power of
-f^-2 over all frequencies. In each frequency band ``N_b = w_b diag(r) + V_b V_b^T``, with the leading eigenvectors of
-the measured covariance and the residual of its diagonal (similar to Duenner et al. 2013), inverted by Woodbury's
-identity. Phases between detectors are not modelled: a pattern that drifts over the array takes two modes. The mean of a
-scan has no weight.
+f^-2 over all frequencies. In each frequency band ``N_b = w_b diag(r) + V_b V_b^T``, with smooth modes of the array and
+those that stand out of the rest (`mapmaker.noise_modes`), inverted by Woodbury's identity. Phases between detectors are
+not modelled: a pattern that drifts over the array takes two modes. The mean of a scan has no weight.
 
 Noise that is measured in a scan fits that scan: a map with it loses noise, and as much of the sky, to modes that are
 there by chance. The noise of a scan is therefore measured in other scans of the observation. Each number that is
-measured adds a little noise. The model is small: one level w_b a band, one r a detector, and significant modes.
+measured adds a little noise. The model is small: one level w_b a band, one r a detector, one power of all smooth
+modes of a degree, and further modes where they are significant.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -29,12 +29,10 @@ from mapmaker.errors import InsufficientDataError
 from mapmaker.geometry import MapGeometry
 from mapmaker.iterative import StreamBlock, subtract_sky
 from mapmaker.linear_maps import SolvedMap, solved_map
+from mapmaker.noise_modes import band_noise
 from mapmaker.normal_equations import SolveOptions
+from mapmaker.timestreams import FocalPlane
 from mapmaker.validation import argument_error, band_edges, bounds_of_scans, number, reals, whole
-
-# A detector with less than this fraction of the mean noise is dead; one whose residual from the modes is rounding of
-# float32 has no noise of its own. Neither gets weight.
-_DEAD, _EXPLAINED = 1e-10, 2.0**-46
 
 
 @dataclass(frozen=True)
@@ -48,8 +46,8 @@ class GlsOptions:
     max_modes
         Largest number of modes in a band.
     eigenvalue_cut
-        A mode is kept if its eigenvalue, in the correlation matrix, exceeds this times the largest eigenvalue of
-        uncorrelated noise.
+        A mode that is not smooth is kept if its eigenvalue exceeds this times the largest eigenvalue of uncorrelated
+        noise.
     folds
         Parts of the scans: the noise of a part is measured in the others.
     solve
@@ -181,7 +179,11 @@ def _woodbury(inverse_white: np.ndarray, modes: np.ndarray) -> np.ndarray:
 
 
 def measure_scan_noise(
-    data_mk: np.ndarray, scan_bounds: np.ndarray, sample_rate_hz: float, options: GlsOptions
+    data_mk: np.ndarray,
+    scan_bounds: np.ndarray,
+    focal_plane: FocalPlane,
+    sample_rate_hz: float,
+    options: GlsOptions,
 ) -> ScanNoise:
     """Measure the noise of each scan of an observation in other scans; arguments and errors are those of
     `measure_noise`.
@@ -193,11 +195,16 @@ def measure_scan_noise(
     n_part = max(1, min(options.folds, len(scan_bounds)))
     part = np.arange(len(scan_bounds)) % n_part
     others = [scan_bounds[part != k] if n_part > 1 else scan_bounds for k in range(n_part)]
-    return ScanNoise(tuple(measure_noise(data_mk, bounds, sample_rate_hz, options) for bounds in others))
+    models = (measure_noise(data_mk, bounds, focal_plane, sample_rate_hz, options) for bounds in others)
+    return ScanNoise(tuple(models))
 
 
 def measure_noise(
-    data_mk: np.ndarray, scan_bounds: np.ndarray, sample_rate_hz: float, options: GlsOptions
+    data_mk: np.ndarray,
+    scan_bounds: np.ndarray,
+    focal_plane: FocalPlane,
+    sample_rate_hz: float,
+    options: GlsOptions,
 ) -> NoiseModel:
     """Measure the noise of one observation from all its scans together; sky signal counts as noise.
 
@@ -205,6 +212,8 @@ def measure_noise(
     ----------
     data_mk : (n_det, n_samp)
     scan_bounds : (n_scan, 2)
+    focal_plane
+        Positions of the detectors.
     sample_rate_hz
     options
 
@@ -213,7 +222,7 @@ def measure_noise(
     ValueError
         Where a band has fewer than 2 modes of the scans, or no detector with noise.
     """
-    data_mk = reals("data_mk", data_mk, ("n_det", "n_samp"), finite=False)
+    data_mk = reals("data_mk", data_mk, (len(focal_plane.x_rad), "n_samp"), finite=False)
     scan_bounds = bounds_of_scans(scan_bounds, data_mk.shape[1])
     number("sample_rate_hz", sample_rate_hz, above=0)
     if not len(scan_bounds):
@@ -225,9 +234,14 @@ def measure_noise(
             raise InsufficientDataError(f"the scans have {n} modes from {low} to {high} Hz; 2 or more are needed")
     if not all(np.isfinite(item).all() for item in amplitudes):
         raise argument_error("data_mk", "values that are not finite in scans", "finite ones are")
-    left, modes = zip(*(_band_noise(item, options) for item in amplitudes), strict=True)
-    white = _separable(np.array(left), np.array([item.shape[1] for item in amplitudes]))
-    return NoiseModel(options.band_edges_hz, white, modes, sample_rate_hz)
+    found = band_noise(
+        np.array([item @ item.T / item.shape[1] for item in amplitudes]),
+        np.array([item.shape[1] for item in amplitudes]),
+        np.column_stack([focal_plane.x_rad, focal_plane.y_rad]),
+        max_modes=options.max_modes,
+        eigenvalue_cut=options.eigenvalue_cut,
+    )
+    return NoiseModel(options.band_edges_hz, found.white_mk2, found.modes_mk, sample_rate_hz)
 
 
 def _band_amplitudes(
@@ -250,48 +264,6 @@ def band_slices(n_samp: int, sample_rate_hz: float, band_edges_hz: tuple[float, 
     frequency = np.arange(n_samp) * sample_rate_hz / (2 * n_samp)
     edges = np.maximum(np.searchsorted(frequency, band_edges_hz), 1)
     return [slice(int(low), int(high)) for low, high in zip(edges[:-1], edges[1:], strict=True)]
-
-
-def _band_noise(amplitudes: np.ndarray, options: GlsOptions) -> tuple[np.ndarray, np.ndarray]:
-    """Residual variances (n_det,) and modes (n_det, n_mode) of one band; scales the amplitudes (n_det, n)."""
-    n_det, n = amplitudes.shape
-    power = np.einsum("dn,dn->d", amplitudes, amplitudes) / n
-    alive = power > _DEAD * power.mean()
-    scale = np.sqrt(np.where(alive, power, 1.0))
-    scaled = amplitudes  # in place: they are larger than the streams
-    scaled *= (alive / scale)[:, None]
-    values, vectors = np.linalg.eigh(scaled @ scaled.T / n)
-    values, vectors = values[::-1], vectors[:, ::-1]
-    n_mode = _count_modes(values, int(alive.sum()), n, options)
-    values, vectors = values[:n_mode], vectors[:, :n_mode]
-    # Not the difference of powers, which a strong atmosphere would reduce to rounding.
-    shared = vectors.T @ scaled
-    left = np.array([np.mean((row - own @ shared) ** 2) for row, own in zip(scaled, vectors, strict=True)])
-    white = np.where(alive & (left > _EXPLAINED), power * left, 0.0)
-    return white, scale[:, None] * vectors * np.sqrt(values)
-
-
-def _separable(left: np.ndarray, n_modes: np.ndarray) -> np.ndarray:
-    """Approximate variances (n_band, n_det) by a level of the band times one of the detector."""
-    level = left.mean(axis=1)
-    if not (level > 0).all():
-        raise InsufficientDataError("found no detector with noise in a band; one or more are needed")
-    return np.outer(level, n_modes @ (left / level[:, None]) / n_modes.sum())
-
-
-def _count_modes(values: np.ndarray, n_det: int, n: int, options: GlsOptions) -> int:
-    """Count the leading eigenvalues that exceed those of uncorrelated noise.
-
-    The largest of these, for n vectors of n_det independent deviates of variance v, is ``v (1 + sqrt(n_det / n))^2``
-    (Marchenko & Pastur 1967); v is the mean of the remaining eigenvalues.
-    """
-    # As many modes as vectors would leave no white noise.
-    for k in range(min(options.max_modes, n // 2, n_det // 2)):
-        left = n_det - k
-        level = values[k:].sum() / left
-        if values[k] <= options.eigenvalue_cut * level * (1 + np.sqrt(left / n)) ** 2:
-            return k
-    return min(options.max_modes, n // 2, n_det // 2)
 
 
 def gls_map(
@@ -328,6 +300,6 @@ def gls_map(
 
     def weigh(block: StreamBlock) -> ScanNoise:
         rest = block if sky_mk is None else subtract_sky(block, sky_mk)
-        return measure_scan_noise(rest.data_mk, block.scan_bounds, sample_rate_hz, options)
+        return measure_scan_noise(rest.data_mk, block.scan_bounds, block.focal_plane, sample_rate_hz, options)
 
     return solved_map(geometry, observations, weigh, options=options.solve)

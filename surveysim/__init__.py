@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import Any
 
-__version__ = "0.10.0"
+__version__ = "0.11.0"
 
 _PUBLIC = {
     "load_scene": "surveysim.scene.scene",

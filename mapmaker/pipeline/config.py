@@ -57,7 +57,7 @@ class MaximumLikelihoodSection(Section):
     bands: Annotated[tuple[Frequency, ...], Field(strict=False, min_length=1)] = (0.1, 0.2, 0.4, 0.8, 1.6)
     """Edges between the frequency bands in which the noise is measured."""
     max_modes: whole(0, 1000) = 20  # type: ignore[valid-type]
-    """Most correlated modes in a band."""
+    """Most correlated modes in a band, those that are smooth over the array among them."""
     tolerance: number(above=0, most=0.1) = 1e-5  # type: ignore[valid-type]
     """Residual of the normal equations at convergence."""
     max_iterations: whole(1, 10**5) = 300  # type: ignore[valid-type]

@@ -171,7 +171,8 @@ def with_noise(file: MappedFile, config: Config) -> MappedFile:
         if maker == "maximum_likelihood":
             section = config.map.maximum_likelihood
             options = GlsOptions((0.0, *section.bands, np.inf), section.max_modes)
-            return replace(file, noise=measure_scan_noise(item.cleaned_mk, item.bounds, 1 / _step_s(file), options))
+            plane, rate_hz = item.streams.focal_plane, 1 / _step_s(file)
+            return replace(file, noise=measure_scan_noise(item.cleaned_mk, item.bounds, plane, rate_hz, options))
     except InsufficientDataError as error:
         dropped = Dropped(item.name, FILE, CLEANING, detail=one_line(error))
         raise UnusableFileError((*item.dropped, dropped)) from None

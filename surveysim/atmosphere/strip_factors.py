@@ -239,7 +239,7 @@ def dense_strip(screen: Screen, density: np.ndarray, *, n_x: int, step_rad: floa
     kept = share > min(_NEGLIGIBLE, 0.1 * NEGLIGIBLE_SUM / share.size)
     scale = np.sqrt(np.maximum(value, 0.0) * mode_parts(n_x)[: len(value), None])
     columns = np.zeros((int(kept.sum()), -(-n_lane // _VECTOR) * _VECTOR), precision)
-    columns[:, :n_lane] = (vector * scale[:, None, :]).transpose(0, 2, 1)[kept]
+    columns[:, :n_lane] = vector.swapaxes(1, 2)[kept] * scale[kept][:, None]
     start = np.concatenate([[0], np.cumsum(kept.sum(axis=1))]).astype(np.int64)
     clipped = max(0.0, -float(share[share < 0.0].sum()))
     return Strip(step_rad, n_x, n_lane, _ramp_variance(screen, n_x, step_rad) ** 0.5, columns, start, clipped)
@@ -334,7 +334,8 @@ def _eigen_modes(
     matrix[0] -= matrix[0].mean(axis=0)
     matrix[0] -= matrix[0].mean(axis=1)[:, None]
     value, vector = mirrored_eigh(matrix)
-    across = np.square(np.diff(vector, axis=1)).sum(axis=1) / (n_lane - 1)
+    change = np.diff(vector, axis=1)
+    across = np.einsum("kij,kij->kj", change, change) / (n_lane - 1)
     return value, vector, value * (along[:used, None] / n_lane + weight[:used, None] * across)
 
 

@@ -1,8 +1,8 @@
 """Sums over a survey for the forecast of maximum-likelihood maps, with the noise of each band of frequencies measured.
 
 The noise model of a run is that of `mapmaker.gls`: in each band the mean covariance of the cleaned streams over the
-band's cosine modes, as a level of each detector and the modes whose eigenvalue, in the correlation matrix, is above
-those of noise. With W_b its inverse, a map mode that is seen at the frequency f through the taper w along a scan has
+band's cosine modes, as a level of each detector, smooth modes of the array, and those that stand out of the rest. With
+W_b its inverse, a map mode that is seen at the frequency f through the taper w along a scan has
 
     z = sum_b S_b s^H W_b s,    S_b = int_b |w(f - f')|^2 df',
     Q = sum_b s^H W_b F [int_b |w(f - f')|^2 C(f') df'] F^H W_b s,
@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.gls import GlsOptions
+from mapmaker.noise_modes import band_noise
 from surveysim.forecasting.closed_forms import readout_level, readout_lines
 from surveysim.forecasting.layer_table import sine_nodes, stream_frequencies
 from surveysim.forecasting.mode_response import LayerWaves, Modes, ProjectedArray, projected_array
@@ -137,7 +138,7 @@ def _observation(
 ) -> np.ndarray:
     """Normal matrix, noise, signal, the layers' part of the noise, and the part of the normal matrix (5, n_mode).
 
-    That part is the one that the modes of the noise model, which are measured on the same streams, take of it.
+    That part is the one that the modes of the noise model which are found in the data, on the same streams, take of it.
     """
     spectrum, camera = of.frequencies, setup.camera
     array = projected_array(
@@ -153,11 +154,13 @@ def _observation(
     normal, added, signal, of_layers, fitted = total = np.zeros((5, spectrum.at_hz.size))
     n_scans = setup.observing.scans.n_scans
     others = max(1, n_scans - -(-n_scans // options.folds))  # scans that the noise of a scan is measured in
-    for band in noise_bands(setup.observing.scans, options.band_edges_hz):
+    bands = noise_bands(setup.observing.scans, options.band_edges_hz)
+    n_vectors = np.array([band.n_mode for band in bands]) * others
+    covariances = np.array([project @ noise.mean(band) @ project.T for band in bands])
+    weights = _weights(covariances, n_vectors, array.place, options)
+    for band, n_vector, (weight, n_fitted) in zip(bands, n_vectors, weights, strict=True):
         inside = band.holds(spectrum.nodes_hz)
         through = _through(of, spectrum.nodes_hz[inside], spectrum.weight_hz[inside])
-        n_vector = band.n_mode * others
-        weight, n_fitted = _weight(project @ noise.mean(band) @ project.T, n_vector, options)
         weighed = weight @ steering
         response = project.T @ weighed
         seen_weight = through * _product(steering, weighed)
@@ -248,17 +251,20 @@ def _layers(
                 yield stream_frequencies(waves, motion) + shift, power * part / len(motions), seen
 
 
-def _weight(covariance: np.ndarray, n_vector: int, options: GlsOptions) -> tuple[np.ndarray, int]:
-    """Inverse noise (n_det, n_det) of a band, modelled as in `mapmaker.gls` on `n_vector` cosine modes; its modes."""
-    scale = np.sqrt(np.diag(covariance))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    values, vectors = values[::-1], vectors[:, ::-1]
-    count = min(options.max_modes, n_vector // 2, len(scale) // 2)
-    for k in range(count):
-        left = len(scale) - k
-        if values[k] <= options.eigenvalue_cut * values[k:].sum() / left * (1 + np.sqrt(left / n_vector)) ** 2:
-            count = k
-            break
-    modes = vectors[:, :count] * np.sqrt(values[:count])
-    level = np.diag(covariance) * (1 - np.sum(modes**2, axis=1))
-    return np.linalg.inv(np.diag(level) + np.outer(scale, scale) * (modes @ modes.T)), count
+def _weights(
+    covariances: np.ndarray, n_vectors: np.ndarray, place: np.ndarray, options: GlsOptions
+) -> list[tuple[np.ndarray, int]]:
+    """Inverse noise (n_det, n_det) of each band, modelled as in `mapmaker.gls`, and its modes that are not smooth.
+
+    The covariances (n_band, n_det, n_det) are those of detectors at complex positions, measured on `n_vectors` cosine
+    modes of each band.
+    """
+    found = band_noise(
+        covariances,
+        n_vectors,
+        np.column_stack([place.real, place.imag]),
+        max_modes=options.max_modes,
+        eigenvalue_cut=options.eigenvalue_cut,
+    )
+    each = zip(found.white_mk2, found.modes_mk, found.n_found, strict=True)
+    return [(np.linalg.inv(np.diag(white) + modes @ modes.T), count) for white, modes, count in each]

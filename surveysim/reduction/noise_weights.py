@@ -57,7 +57,8 @@ def measured_weight(setup: Setup, rows: np.ndarray | slice, data_mk: np.ndarray,
     if section.maker == "destriped":
         weight = setup.analysis.weight_of(rows)
         return BaselineWeight(np.ones(len(data_mk)) if weight is None else weight, baseline_samples(setup))
-    return measure_scan_noise(data_mk, bounds, rate, noise_options(section))
+    plane = setup.camera.focal_plane.subset(rows)
+    return measure_scan_noise(data_mk, bounds, plane, rate, noise_options(section))
 
 
 def baseline_samples(setup: Setup) -> int:

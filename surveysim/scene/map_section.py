@@ -34,9 +34,9 @@ class MaximumLikelihood(Solver):
     band_edges_hz: FrequencyEdges = Field(alias="band_edges", default=(0.1, 0.2, 0.4, 0.8, 1.6))
     """Frequencies between bands of constant noise covariance; the first band begins at 0, the last has no end."""
     max_modes: Annotated[int, *whole(0, 10_000)] = 20
-    """Largest number of correlated modes in a band."""
+    """Largest number of correlated modes in a band, those that are smooth over the array among them."""
     eigenvalue_cut: Annotated[float, *number(1, 1e6)] = 2.0
-    """A mode is correlated if its eigenvalue exceeds this times the largest eigenvalue of uncorrelated noise."""
+    """A mode that is not smooth is kept if its eigenvalue exceeds this times the largest one of uncorrelated noise."""
 
     @model_validator(mode="after")
     def _edges_increase(self) -> Self:

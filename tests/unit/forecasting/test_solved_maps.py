@@ -5,8 +5,9 @@ import pytest
 
 from mapmaker.destriping import BaselineWeight
 from mapmaker.gls import GlsOptions, measure_noise
+from mapmaker.timestreams import FocalPlane
 from surveysim.forecasting.forecast import forecast, why_no_forecast
-from surveysim.forecasting.likelihood import _weight, likelihood_sums, noise_bands
+from surveysim.forecasting.likelihood import _weights, likelihood_sums, noise_bands
 from surveysim.forecasting.mode_response import ring_modes
 from surveysim.forecasting.observing_conditions import observing_conditions, survey_draws
 from surveysim.forecasting.solved_maps import SolvedSums, solved_bins
@@ -59,13 +60,11 @@ def test_baselines_are_those_of_the_map_maker(n_samp, length):
 
 def test_noise_model_of_white_noise_and_a_common_mode_is_exact():
     """Its inverse is (1 - c c^T / (n + 1 / 4)) / 2 for the covariance 2 + 8 c c^T, with equal gains c."""
-    n_det, options = 30, GlsOptions()
-    weight, n_mode = _weight(2 * np.eye(n_det) + 8 * np.ones((n_det, n_det)), 1000, options)
-    # The level of a detector is what its modes leave: 1/30 of the white noise is in the mode.
-    level = 2 * (1 - 1 / n_det)
-    expected = np.linalg.inv(level * np.eye(n_det) + (8 + 2 / n_det) * np.ones((n_det, n_det)))
-    assert n_mode == 1
-    np.testing.assert_allclose(weight, expected, atol=1e-12)
+    n_det, ones, place = 30, np.ones(30), np.random.default_rng(1).standard_normal((2, 30))
+    covariance = 2 * np.eye(n_det) + 8 * np.outer(ones, ones)
+    [(weight, n_found)] = _weights(covariance[None], np.array([1000]), place[0] + 1j * place[1], GlsOptions())
+    assert n_found == 0
+    np.testing.assert_allclose(weight, (np.eye(n_det) - np.outer(ones, ones) / (n_det + 0.25)) / 2, atol=1e-12)
 
 
 def test_noise_model_is_that_of_the_map_maker():
@@ -73,11 +72,11 @@ def test_noise_model_is_that_of_the_map_maker():
     rng, n_det = np.random.default_rng(2), 12
     gain = 1 + 0.1 * rng.standard_normal(n_det)
     data = 2 * gain[:, None] * rng.standard_normal(8000) + rng.standard_normal((n_det, 8000))
-    bounds = np.arange(200)[:, None] * 40 + [0, 40]
-    options = GlsOptions((0.0, np.inf))
-    measured = measure_noise(data, bounds, 10.0, options)
+    bounds, plane = np.arange(200)[:, None] * 40 + [0, 40], FocalPlane(*rng.standard_normal((2, n_det)), 1.0)
+    options, covariance = GlsOptions((0.0, np.inf)), 4 * np.outer(gain, gain) + np.eye(n_det)
+    measured = measure_noise(data, bounds, plane, 10.0, options)
     of_model = np.diag(measured.inverse_white[0]) - measured.inverse_modes[0] @ measured.inverse_modes[0].T
-    found, _ = _weight(4 * np.outer(gain, gain) + np.eye(n_det), 39 * 200, options)
+    [(found, _)] = _weights(covariance[None], np.array([39 * 200]), plane.x_rad + 1j * plane.y_rad, options)
     np.testing.assert_allclose(of_model, found, atol=5 * np.sqrt(2 / 7800) * np.abs(found).max())
 
 

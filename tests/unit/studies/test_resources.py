@@ -8,7 +8,7 @@ from surveysim.output import writer as outputs
 from surveysim.reduction import cleaned_block, setup
 from surveysim.reduction import observation as reduction
 from surveysim.reduction.setup import prepare
-from surveysim.results import agreement, control_variate
+from surveysim.results import control_variate, scored
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.bands import load_bands
 from surveysim.scene.scene import load_scene
@@ -59,7 +59,7 @@ DOES = {
     "opacity": [(setup, "site_water")],
     "score": [(control_variate, "score_survey")],
     "transfer function": [(sky_maps, "flat_cmb_sky"), (reduction, "add_signal_maps")],
-    "forecast": [(agreement, "forecast")],
+    "forecast": [(scored, "forecast")],
     "best pipeline": [(reduction, "figures_of_merit")],
     "HEALPix": [(outputs, "write_healpix")],
 }
