@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from surveysim.scene.keys import KeyRow
 
 
+MOST_HOLDING = 5  # keys that hold a word, of which all are suggested
+
+
 def keys(
     section: Annotated[
         str | None, typer.Argument(metavar="SECTION", help="A section such as scan, or a key such as scan.speed.")
@@ -35,11 +38,12 @@ def keys(
             found = True
             _print_keys(each.heading, each.introduction, rows)
     if not found:
-        fail(f"keys: found {shown(section)}; {_expected_key(str(section), [each.name for each in sections[1:]])}")
+        names = list(dict.fromkeys(each.name for each in sections[1:]))
+        fail(f"keys: found {shown(section)}; {_expected_key(str(section), names)}")
 
 
 def _expected_key(found: str, sections: Sequence[str]) -> str:
-    """Suggest keys and sections that resemble a mistyped one, or else name those around it."""
+    """Suggest keys and sections that hold a word or resemble a mistyped one, or else name those around it."""
     from surveysim.scene.keys import all_keys
 
     section, _, name = found.rpartition(".")
@@ -47,7 +51,11 @@ def _expected_key(found: str, sections: Sequence[str]) -> str:
     if section in sections:
         return did_you_mean(name, names, section) or f"a key of [{section}] is expected: {', '.join(names)}"
     expected = f"a key or one of the sections {', '.join(sections)} is expected"
-    return did_you_mean(found, (*sections, *all_keys())) or expected
+    everything = dict.fromkeys((*sections, *all_keys()))
+    holding = [key for key in everything if found in key.rpartition(".")[2]]
+    if 0 < len(holding) <= MOST_HOLDING:
+        return f"did you mean {' or '.join(holding)}?"
+    return did_you_mean(found, everything) or expected
 
 
 def _is_within(name: str, section: str) -> bool:

@@ -179,7 +179,9 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
 def _discarded(kept: KeptScans) -> NeglectedEffect:
     share, error = kept.discarded, kept.error
     if np.isinf(error):
-        sentence = "The fraction of scans that cleaning discards is unknown: a pilot would be too large."
+        sentence = (
+            "The fraction of scans that cleaning discards is unknown: a pilot would be too large. It is taken as 0."
+        )
         return NeglectedEffect("discarded scans", None, sentence, True)
     if error == 0:
         sentence = f"Cleaning discarded {_percent(share)} of the scans; the noise is that of the kept scans."

@@ -161,7 +161,7 @@ def _two_apertures(setup: Setup) -> str:
         return ""
     return (
         f"atmosphere.illuminated_aperture: pixels see the layer with {found:.4g} m, and optics.aperture is"
-        f" {aperture:.4g} m; they are seldom unlike."
+        f" {aperture:.4g} m; they are usually equal."
     )
 
 

@@ -1,7 +1,7 @@
 """Error messages of a scene: one line for each error, with file, key, value found and values expected."""
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -14,6 +14,7 @@ from surveysim.scene.unions import is_tag, of_tag
 from surveysim.scene.units import shown
 
 MAX_ERRORS = 30  # lines of an error
+MOST_BELOW = 3  # keys of inner sections that are suggested
 HIDDEN_KEYS = ("assumed", "band")  # attributes of a scene that are no keys of its file
 _EXPECTED = {
     "model_type": "a section is expected",
@@ -38,7 +39,7 @@ def error_lines(path: Path, errors: Sequence[str]) -> str:
 
 def validation_lines(error: ValidationError, scene: type[BaseModel]) -> list[str]:
     """Return a line for each error that the schema `scene` finds in a file."""
-    found = _without_consequences(_without_mistyped(error.errors(include_url=False)))
+    found = _without_consequences(_of_known_site(_without_mistyped(error.errors(include_url=False))))
     # A line quotes a value: of many errors only those that are shown are put into words.
     return [_line(item, scene) if number < MAX_ERRORS else "" for number, item in enumerate(found)]
 
@@ -55,6 +56,13 @@ def _without_mistyped(errors: Sequence[Any]) -> list[Any]:
     return [item for item in errors if item["type"] != "missing" or not is_mistyped(item["loc"])]
 
 
+def _of_known_site(errors: Sequence[Any]) -> Sequence[Any]:
+    """Drop missing keys that a site may supply, where the name of the site is wrong."""
+    if not any(item["loc"] == ("atmosphere", "site") for item in errors):
+        return errors
+    return [item for item in errors if item["type"] != "missing" or item["loc"][0] not in ("atmosphere", "schedule")]
+
+
 def _without_consequences(errors: Sequence[Any]) -> list[Any]:
     """Drop lists that are too short because of items with errors of their own."""
     lists = {item["loc"][:end] for item in errors for end in range(len(item["loc"])) if item["type"] != "too_short"}
@@ -62,7 +70,7 @@ def _without_consequences(errors: Sequence[Any]) -> list[Any]:
 
 
 def unknown_key(key: str, scene: type[BaseModel], hidden: Collection[str] = ()) -> str:
-    """Say that a dotted key is unknown, with the similar or else all keys of its section.
+    """Say that a dotted key is unknown, with similar keys, keys of this name in inner sections, or all of its section.
 
     Parameters
     ----------
@@ -77,8 +85,21 @@ def unknown_key(key: str, scene: type[BaseModel], hidden: Collection[str] = ()) 
     allowed = [item for item in allowed_keys(section, scene) if item not in hidden]
     if not allowed:
         return "unknown key of a scene"
-    suggestion = did_you_mean(name, allowed, ".".join(part for part in section if not is_tag(part)))
+    where = ".".join(part for part in section if not is_tag(part))
+    suggestion = did_you_mean(name, allowed, where)
+    below = [] if suggestion else [f"{where}.{other}".lstrip(".") for other in _keys_below(name, scene, section)]
+    if 0 < len(below) <= MOST_BELOW:
+        suggestion = f"did you mean {' or '.join(below)}?"
     return f"unknown key; {suggestion or 'allowed are ' + ', '.join(allowed)}"
+
+
+def _keys_below(name: str, scene: type[BaseModel], section: Sequence[str]) -> Iterator[str]:
+    """Yield the keys of a name in the sections within a section, by their dotted name in it."""
+    for part in allowed_keys(section, scene):
+        inner = [*section, part]
+        if name in allowed_keys(inner, scene):
+            yield f"{part}.{name}"
+        yield from (f"{part}.{found}" for found in _keys_below(name, scene, inner))
 
 
 def _line(item: Any, scene: type[BaseModel]) -> str:
@@ -90,7 +111,7 @@ def _line(item: Any, scene: type[BaseModel]) -> str:
     if item["type"] == "extra_forbidden":
         message = unknown_key(".".join(str(part) for part in item["loc"] if isinstance(part, str)), scene)
     elif item["type"] == "missing":
-        message = "missing; this key is expected"
+        message = f"missing; this {'section' if sections_of(item['loc'], scene) else 'key'} is expected"
     elif item["type"] != "value_error":
         message = re.sub(r"^Input should be (greater|less)(.*)$", r"a number \1\2 is expected", message)
         message = re.sub(r"^Input should be ('.*')$", r"\1 is expected", message)

@@ -8,7 +8,7 @@ LONGEST = 100  # letters of a name that are compared
 
 def similar_names(name: str, names: Iterable[str]) -> list[str]:
     """Return the names that resemble a mistyped one, the closest first; at most three."""
-    return get_close_matches(name[:LONGEST], list(names))
+    return get_close_matches(name[:LONGEST], list(dict.fromkeys(names)))
 
 
 def did_you_mean(name: str, names: Iterable[str], section: str = "") -> str:

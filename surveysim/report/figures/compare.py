@@ -78,7 +78,7 @@ def timestream_psd(result: RunComparison) -> Figure:
         axes.plot(columns["frequency"][used], columns["raw_median"][used], **look | {"lw": look["lw"] / 2})
         axes.plot(columns["frequency"][used], columns["clean_median"][used], label=label, **look)
     axes.set(xscale="log", yscale="log")
-    _finish(figure, axes, "Frequency [Hz]", r"PSD [mK$^2$ / Hz]")
+    _finish(figure, axes, "Frequency [Hz]", r"PSD [mK$^2$/Hz]; thin: before cleaning")
     plain_ticks(axes.xaxis)
     return figure
 

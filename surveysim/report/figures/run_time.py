@@ -7,6 +7,7 @@ from surveysim.results.results import SurveyResult
 from surveysim.runtime.numbers import duration
 
 SHORTEST, LONGEST = 1 / 30, 30  # of the times drawn, in those of the run
+FEWEST = 2  # observations of the times drawn
 TARGETS = np.geomspace(1 / 5, 10, 40)  # relative errors whose costs are drawn, in that of the run
 
 
@@ -17,7 +18,7 @@ def time_figure(result: SurveyResult) -> PaperFigure:
     """
     parts, done = result.parts, result.coadds.done
     own_s = done * parts.each_s / result.workers
-    seconds = own_s * np.geomspace(SHORTEST, LONGEST, 60)
+    seconds = own_s * np.geomspace(max(SHORTEST, min(1, FEWEST / done)), LONGEST, 60)
     fixed = np.linalg.norm([parts.flips, parts.skies, parts.rest])
     alone = np.hypot(parts.observations * np.sqrt(own_s / seconds), fixed)
     error = result.estimate.relative_error

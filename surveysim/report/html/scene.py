@@ -351,9 +351,9 @@ def _map(scene: Values) -> Iterator[str]:
 
 def _numerics(numerics: Values) -> Iterator[str]:
     step = numerics["screen_step"]
-    lattice = "the usual step" if step == 1 else f"{short(step)} times the usual step"
+    lattice = "the default spacing" if step == 1 else f"{short(step)} times the default spacing"
     yield f"Time-streams are {numerics['precision']};"
-    yield f"interpolation in the layer is {numerics['interpolation']}, at {lattice}."
+    yield f"interpolation in the layer is {numerics['interpolation']}, on a lattice of {lattice}."
 
 
 def _score(score: Values, observations: int) -> Iterator[str]:

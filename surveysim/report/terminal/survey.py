@@ -26,7 +26,7 @@ from surveysim.results.tables import (
     gain_table,
     score_table,
 )
-from surveysim.runtime.numbers import plain, plural, quoted
+from surveysim.runtime.numbers import duration, plain, plural, quoted
 from surveysim.survey.discarded_scans import listed_data_sets, percent
 from surveysim.survey.scores import FEWEST_CONTROLLED
 
@@ -200,9 +200,9 @@ def cost_lines(result: SurveyResult) -> list[str]:
     needs = [f"{cost.observations} observations"]
     needs += [f"{cost.jackknives} sign-flipped co-adds (score.jackknives)"] * (cost.jackknives > score.jackknives)
     needs += [f"{cost.skies} simulated skies (score.signal_sims.skies)"] * (cost.skies > score.signal_sims.skies)
-    time = f"{cost.seconds / 60:.2g} min" if cost.seconds >= 60 else f"{cost.seconds:.0f} s"
     share = 100 * cost.relative_error
-    return [f"  a {share:g} % answer would take about {time} with {result.workers} worker(s) : {', '.join(needs)}"]
+    time = f"about {duration(cost.seconds)} with {plural(result.workers, 'worker')}"
+    return [f"  an error of {share:g} % would take {time}: {', '.join(needs)}"]
 
 
 def stop_lines(result: SurveyResult) -> list[str]:

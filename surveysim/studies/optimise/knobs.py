@@ -135,7 +135,7 @@ def check_key(key: str, where: str) -> None:
     """Raise InputError unless this is a key of a scene that designs may differ in."""
     *sections, last = key.split(".")
     if sections[:1] == ["optimise"] or key in COMMON:
-        raise InputError(f"{where}: found {shown(key)}; a key that is not common to all designs is expected")
+        raise InputError(f"{where}: found {shown(key)}, which all designs have in common; another key is expected")
     if renamed := renamed_line(key):
         raise InputError(renamed)
     if last not in allowed_keys(sections, Scene):

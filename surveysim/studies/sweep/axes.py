@@ -299,7 +299,7 @@ def _check_key(where: str, axis: str, key: str, bands: tuple[str, ...]) -> None:
     key = own if band in bands else key
     *sections, last = key.split(".")
     if sections[:1] in (["sweep"], ["optimise"]) or key in COMMON:
-        raise InputError(f"{where}: found {shown(key)}; a key that is not common to all points is expected")
+        raise InputError(f"{where}: found {shown(key)}, which all points have in common; another key is expected")
     if renamed := renamed_line(key):
         raise InputError(renamed)
     if last not in allowed_keys(sections, Scene):

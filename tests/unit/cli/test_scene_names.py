@@ -190,6 +190,9 @@ def test_keys_of_a_section(call, monkeypatch):
     code, out, error = call("keys", "scor")
     assert (code, out) == (2, "") and "keys: found 'scor'" in error and "did you mean score" in error
     assert call("keys", "scan.spead") == (2, "", "keys: found 'scan.spead'; did you mean scan.speed?\n")
+    pitches = "instrument.layout.pitch_f_lambda or instrument.wafers.pitch_f_lambda"
+    assert call("keys", "pitch")[2] == f"keys: found 'pitch'; did you mean {pitches}?\n"
+    assert call("keys", "scn")[2] == "keys: found 'scn'; did you mean scan?\n"
     error = call("keys", "scan.quux")[2]
     assert (
         error.startswith("keys: found 'scan.quux'; a key of [scan] is expected: lissajous, pattern")

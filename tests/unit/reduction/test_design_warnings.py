@@ -74,7 +74,7 @@ CASES = {
     "two apertures": (
         {"optics.aperture": "9 m"},
         {"optics.aperture": "8.3 m"},
-        "atmosphere.illuminated_aperture: pixels see the layer with 8 m, and optics.aperture is 9 m; they are seldom",
+        "atmosphere.illuminated_aperture: pixels see the layer with 8 m, and optics.aperture is 9 m; they are usually",
     ),
     "sampling": (
         {"scan.sample_rate": "7.9 Hz"},

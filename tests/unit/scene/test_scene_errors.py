@@ -70,7 +70,7 @@ def test_missing_sections(path, section):
     ]
     end = min(end for end in ends if end > start)
     path.write_text(SMALL_SCENE[:start] + SMALL_SCENE[end:])
-    check(path, {}, section, "missing", "is expected")
+    check(path, {}, section, "missing", "this section is expected")
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """Keys of sites that a scene accepts, and refusals of others."""
 
+import re
+
 import pytest
 
 from surveysim.reduction.setup import prepare
@@ -54,6 +56,17 @@ def test_refused(path, changes, words):
     with pytest.raises(SceneError) as caught:
         prepare(load_scene(path, changes))
     assert words in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_one_line_for_a_wrong_name(path):
+    """Keys that the site would supply are not reported as missing."""
+    text = path.read_text()
+    for key in ("layer_height", "wind_median", "latitude"):
+        text = re.sub(rf"^{key} = .*\n", "", text, flags=re.MULTILINE)
+    path.write_text(text)
+    with pytest.raises(SceneError) as caught:
+        load_scene(path, {"atmosphere.site": "atacama"})
+    assert str(caught.value).startswith(f"{path}: atmosphere.site: found 'atacama'; ") and "\n" not in str(caught.value)
 
 
 def test_noise_by_power_under_an_opaque_sky(path):

@@ -314,7 +314,7 @@ def test_wrong_expressions(text, said):
         (ALGORITHM.replace('"average"', '"averag"'), "optimise.knobs.0.choices: cleaning.algorithm: found 'averag'"),
         (SPEED + SPEED, "found 'scan.speed' more than once"),
         (RINGS.replace("40", "4.5"), "optimise.knobs.0.high: found 4.5; an integer is expected"),
-        (SPEED.replace("scan.speed", "seed"), "found 'seed'; a key that is not common to all designs is expected"),
+        (SPEED.replace("scan.speed", "seed"), "found 'seed', which all designs have in common; another key"),
         (SPEED.replace("high", "hihg"), "optimise.knobs.0.hihg: unknown key; did you mean"),
         (ALGORITHM + "low = 1\n", "low: found together with 'choices'"),
         (SPEED + '[[optimise.limits]]\nquantity = "detectors"\n', "'at_least' or 'at_most' is expected"),
