@@ -126,9 +126,7 @@ class ProjectedArray:
         return found
 
     def seen(self, wave: np.ndarray) -> np.ndarray:
-        """Amplitudes (n_det, n_mode) of waves in the streams, in single precision: those of a response are double, as
-        cleaning takes most of it away.
-        """
+        """Amplitudes (n_det, n_mode) of waves in the streams, in single precision."""
         return self.phases(wave).astype(np.complex64) * self.responsivity[:, None].astype(np.float32)
 
 

@@ -29,6 +29,7 @@ from surveysim.scene.analysis import Score
 from surveysim.scene.scene import Scene
 from surveysim.telescope.lattice_noise import GroupCorrelation, NoiseCorrelation
 from surveysim.telescope.scans import Scans, samples_per_scan
+from surveysim.timestreams.crosstalk import CrosstalkMatrix
 from surveysim.timestreams.sharing import common_streams
 from surveysim.timestreams.simulation import CameraSetup
 
@@ -185,18 +186,26 @@ class NoiseBins(ABC):
         """Bins of the layer with a number, of unit amplitude, as a function of its motion."""
 
 
+def crosstalked(response: np.ndarray, crosstalk: CrosstalkMatrix | None) -> np.ndarray:
+    """Turn an array response (n_det, n_mode) into that to streams before crosstalk, whose matrix is symmetric."""
+    return response if crosstalk is None else crosstalk.times(response)
+
+
 @dataclass(frozen=True, kw_only=True)
 class MapBins(NoiseBins):
     """Bins of the map of cleaned streams.
 
     Attributes
     ----------
+    crosstalk
+        Crosstalk between the detectors; None without it.
     responses
         Response (n_det, n_mode) of each array to the modes, in single precision.
     pixel : (n_bin,)
         Window of the map's pixels.
     """
 
+    crosstalk: CrosstalkMatrix | None
     responses: list[np.ndarray]
     pixel: np.ndarray
 
@@ -204,11 +213,14 @@ class MapBins(NoiseBins):
         """Amplitude (n_mode,) that response, scans and cleaning leave of each mode of the sky."""
         at_hz = self.frequencies.at_hz
         kept = []
-        for array, response in zip(self.arrays, self.responses, strict=True):
-            seen = array.seen(self.frequencies.modes.wave.ravel())
+        for array in self.arrays:
+            # In double precision: what cleaning leaves of waves much longer than the array is rounding in single.
+            phases = array.phases(self.frequencies.modes.wave.ravel())
+            response = crosstalked(array.respond(phases), self.crosstalk)
+            seen = phases * array.responsivity[:, None]
             if self.filters is not None:
-                seen = seen * self.filters.signal(at_hz)
-            kept.append(np.sum(response.conj() * seen, axis=0, dtype=complex) / (array.responsivity @ array.weight))
+                seen *= self.filters.signal(at_hz)
+            kept.append(np.einsum("ij,ij->j", response.conj(), seen) / (array.responsivity @ array.weight))
         return np.mean(kept, axis=0) * self.frequencies.apodization.signal_amplitude(at_hz)
 
     def _mean(self, powers: list[np.ndarray], leakage: np.ndarray) -> np.ndarray:

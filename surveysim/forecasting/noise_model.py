@@ -28,7 +28,7 @@ from mapmaker.transfer_function import pixel_window
 from surveysim.forecasting.closed_forms import CLOSED_FORMS, ClosedForm, Noise, layers
 from surveysim.forecasting.mode_mixing import ModeMixing, mode_mixing
 from surveysim.forecasting.mode_response import PROJECTIONS, ProjectedArray, projected_array, ring_modes
-from surveysim.forecasting.noise_bins import MapBins, NoiseBins, noise_only_bins, scan_frequencies
+from surveysim.forecasting.noise_bins import MapBins, NoiseBins, crosstalked, noise_only_bins, scan_frequencies
 from surveysim.forecasting.observing_conditions import (
     ObservingConditions,
     WhiteShapes,
@@ -130,6 +130,7 @@ def map_bins(
 ) -> list[MapBins]:
     """Set up the bins of a pipeline's map, with filters in time, at each speed of the track."""
     ell, arrays = setup.analysis.region.rings.ell, _arrays(setup, pipeline, conditions)
+    crosstalk = _crosstalk(setup, pipeline)
     fitted = removed_modes(setup, pipeline, arrays[0], conditions, filters)
     wave = ring_modes(ell).wave.ravel()
     alike: dict[str, Any] = {
@@ -143,8 +144,8 @@ def map_bins(
         "independent": independent_noise(shapes, pipeline),
         "filters": stream_filters(setup, pipeline),
         "gain_variance": gain_variance(setup, pipeline, conditions),
-        # Double precision until cleaning has taken most of a response away.
-        "responses": [_crosstalked(setup, pipeline, array.response(wave)).astype(np.complex64) for array in arrays],
+        "crosstalk": crosstalk,
+        "responses": [crosstalked(array.response(wave), crosstalk).astype(np.complex64) for array in arrays],
         "pixel": pixel_window(ell, setup.analysis.geometry.pixel_rad),
     }
     tracks, of_scans = track_motions(setup), (setup.observing.scans, setup.scene.score, ell)
@@ -210,15 +211,15 @@ def _arrays(setup: Setup, pipeline: CleaningPipeline, conditions: ObservingCondi
         raise NotForecastableError(f"cleaning: {error}") from None
 
 
-def _crosstalked(setup: Setup, pipeline: CleaningPipeline, response: np.ndarray) -> np.ndarray:
-    """Turn an array response (n_det, n_mode) into that to streams before crosstalk, whose matrix is symmetric.
+def _crosstalk(setup: Setup, pipeline: CleaningPipeline) -> CrosstalkMatrix | None:
+    """Crosstalk between the detectors of a pipeline; None without it.
 
     Crosstalk from detectors that a pipeline leaves out is neglected, with that between those that it takes.
     """
     section = setup.scene.crosstalk
     if section is None or pipeline.detectors is not None:
-        return response
-    return CrosstalkMatrix(section, setup.camera.readout_groups).times(response)
+        return None
+    return CrosstalkMatrix(section, setup.camera.readout_groups)
 
 
 def _transmission(setup: Setup, bins: list[MapBins]) -> np.ndarray:

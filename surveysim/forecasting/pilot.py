@@ -51,8 +51,9 @@ def predict_kept_scans(
     Observations are sorted by the amplitude of the layer. The pilot takes them at equal steps, half in number and half
     in `weight`: scans are rejected in calm weather, whose observations have the largest weights. Between the
     observations of the pilot the fraction is interpolated. Pipelines without responsivity fits keep all scans. Where
-    the pilot would take more than a few seconds, or can't be drawn, the fraction is unknown. Draws are those of the
-    scene's seed.
+    the pilot would take more than a few seconds, or can't be drawn, the fraction is unknown. One fit to all scans of
+    an observation is then tried with fewer of them: more scans, which have more atmosphere, converge where these do.
+    Draws are those of the scene's seed.
 
     Parameters
     ----------
@@ -78,7 +79,8 @@ def predict_kept_scans(
     }
     scan_samples = setup.camera.n_det * samples_per_scan(setup.observing.scans)
     n_scans, n_pilot = _pilot_size(setup.observing, scan_samples, len(weight))
-    if n_scans * n_pilot * scan_samples > _MOST_SAMPLES:
+    drawn = min(n_scans, int(_MOST_SAMPLES // (n_pilot * scan_samples)))
+    if not drawn:
         return unknown
     order = np.argsort(conditions.layers.sum(axis=0), kind="stable")
     importance = np.cumsum(weight[order] / weight.sum() + 1 / len(weight)) / 2
@@ -86,12 +88,14 @@ def predict_kept_scans(
     places = np.minimum(places, len(weight) - 1)
     pilot = replace(
         setup,
-        observing=replace(setup.observing, blocks=(Block(0, 0, n_scans),)),
+        observing=replace(setup.observing, blocks=(Block(0, 0, drawn),)),
         analysis=replace(setup.analysis, pipelines=fitted),
     )
     try:
         found = np.array([kept_scans(pilot, int(order[place])).mean(axis=1) for place in places])
     except InputError:  # a layer that can't be drawn
+        return unknown
+    if drawn < n_scans and not (found == 1).all():
         return unknown
     shares = {
         pipeline.data_set: _interpolate_shares(order, places, of, n_scans)

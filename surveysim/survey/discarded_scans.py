@@ -41,7 +41,7 @@ class Discards:
     def warnings(self) -> list[str]:
         """One line for each data set that loses too many scans."""
         names = [name for name in listed_data_sets([self.shares]) if self.shares[name] > MOST_DISCARDED + _ROUNDING]
-        return [f"{self._of(name)}; the score is then for fewer scans than requested. {REMEDY}." for name in names]
+        return [f"{self._of(name)}; results are then for fewer scans than requested. {REMEDY}." for name in names]
 
     def _of(self, name: str) -> str:
         text = f"{name}: {percent(self.shares[name])} of the scans are discarded"

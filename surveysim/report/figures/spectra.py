@@ -177,7 +177,9 @@ def _name(setup: Setup, item: DataSetScore) -> str:
 
 def _shade_scored(axes: Axes, setup: Setup) -> None:
     score = setup.scene.score
-    axes.axvspan(score.ell_min, score.ell_max, color=GREY, alpha=0.12, lw=0, label="scored range")
+    # Edges show the range in a legend that lies on it.
+    span = {"facecolor": (GREY, 0.12), "edgecolor": (GREY, 0.6), "lw": 0.6, "label": "scored range"}
+    axes.axvspan(score.ell_min, score.ell_max, **span)
 
 
 def _place_legend(setup: Setup, figure: Figure, axes: Axes) -> None:

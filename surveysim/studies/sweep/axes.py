@@ -195,7 +195,7 @@ def sweep_point(
 ) -> Point:
     """Make a point of a scene, checked and prepared; raises SceneError for one that can't be run or compared."""
     if scene.score is None:
-        raise SceneError("score: missing; a sweep compares scores")
+        raise SceneError("score: missing; scenes are compared by their scores")
     check_metric(metric, scene)
     setup = prepare(scene)
     scans = setup.observing.scans

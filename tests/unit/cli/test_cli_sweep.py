@@ -52,7 +52,7 @@ def test_sweeps_that_are_refused(call, sweep):
     sweep.write_text(SMALL_SCENE + '\n[sweep]\n"scan.scans" = [0, 4]\n')
     assert f"{sweep}: point (scan.scans = 0): scan.scans: found 0" in refused(call, sweep)
     sweep.write_text(without_sections(SMALL_SCENE, "score") + SWEEP)
-    assert f"{sweep}: score: missing; a sweep compares scores" in refused(call, sweep)
+    assert f"{sweep}: score: missing; scenes are compared by their scores" in refused(call, sweep)
 
 
 def test_run_of_a_sweep(call, sweep):

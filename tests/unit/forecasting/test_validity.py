@@ -146,6 +146,20 @@ def test_known_responsivities_discard_nothing(scene_of, monkeypatch):
     assert effect.size is None and effect.flagged and "unknown" in effect.sentence
 
 
+def test_fits_to_observations_are_tried_with_fewer_scans(scene_of, monkeypatch):
+    """Strong layers converge with two of the scans; in calm weather more of them may, so the share is unknown."""
+    of_all = CALM | {"cleaning.responsivities": "observation"}
+    setup = prepare(scene_of(**of_all))
+    scan_samples = setup.camera.n_det * samples_per_scan(setup.observing.scans)
+    n_scans, n_pilot = _pilot_size(setup.observing, scan_samples, 12)
+    assert n_scans == setup.observing.scans.n_scans > 2
+    monkeypatch.setattr("surveysim.forecasting.pilot._MOST_SAMPLES", 2.5 * n_pilot * scan_samples)
+    strong = effects_of(scene_of(**(of_all | {"atmosphere.b2": "[400, 900, 2000] mK2 rad(-5/3)"})))["discarded scans"]
+    assert strong.size == 0 and not strong.flagged
+    calm = effects_of(scene_of(**of_all))["discarded scans"]
+    assert calm.size is None and calm.flagged
+
+
 def test_shares_are_interpolated_between_observations_of_a_pilot():
     """Observations 2, 0, 1, 3, 4 by their layer, of which the first, the fourth and the last are in the pilot."""
     kept = _interpolate_shares(np.array([2, 0, 1, 3, 4]), np.array([0, 3, 4]), np.array([0.25, 1.0, 1.0]), 4)

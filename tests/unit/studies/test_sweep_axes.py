@@ -196,7 +196,7 @@ def test_errors_of_the_camera_and_the_map_name_their_points(refused):
 
 def test_a_sweep_needs_a_score(refused):
     (line,) = refused(SPEEDS, scene=without_sections(SMALL_SCENE, "score"))
-    assert line == "score: missing; a sweep compares scores"
+    assert line == "score: missing; scenes are compared by their scores"
 
 
 def test_a_list_of_positions_is_beside_the_scene(write, tmp_path):
