@@ -22,6 +22,12 @@ LOG_FROM = 5  # ratio of the largest to the smallest value from which an axis is
 LEVEL_TICKS = 40  # letters that fit below a panel
 UK2_CMB = r"$\mu$K$_\mathrm{CMB}^2$"
 
+_BARS = (
+    " Bars are Monte Carlo errors; those of the ratios count that noise, weather and skies are common. Grey bars:"
+    " independent runs."
+)
+_NO_BARS = " Errors are not known for so few observations."
+
 
 def draw_sweep(path: Path, result: SweepResult) -> Path:
     """Write the figure of a sweep with at least one score as a PNG, atomically; return its path."""
@@ -67,10 +73,7 @@ def sweep_figure(result: SweepResult) -> PaperFigure:
     reference = plain(sweep.points[comparison.reference].label)
     caption = f"{len(sweep.points)} points with one seed; reference point: {reference}."
     if result.simulated:
-        caption += (
-            " Bars are Monte Carlo errors; those of the ratios count that noise, weather and skies are common."
-            " Grey bars: independent runs. Dashes or triangles: forecast."
-        )
+        caption += (_BARS if np.isfinite(comparison.error).any() else _NO_BARS) + " Dashes or triangles: forecast."
     return PaperFigure(0, f"{sweep.name}: sweep", caption, panels, 2)
 
 

@@ -350,15 +350,18 @@ def _of_all(path: Path, labels: Sequence[str], job: Callable[[int], T]) -> list[
     """Compute `job(number)` for each point; raises SceneError with each error once."""
     done: list[T] = []
     wrong: dict[str, list[int]] = {}
+    named = path  # as the errors of scenes do
     for number in range(len(labels)):
         try:
             done.append(job(number))
         except SceneError as error:
             for line in str(error).splitlines():
                 head, _, rest = line.partition(": ")
-                wrong.setdefault(rest if Path(head).absolute() == path.absolute() else line, []).append(number)
+                own = Path(head).absolute() == path.absolute()
+                named = Path(head) if own else named
+                wrong.setdefault(rest if own else line, []).append(number)
     if wrong:
-        raise SceneError(error_lines(path, [_line(line, labels, points) for line, points in wrong.items()]))
+        raise SceneError(error_lines(named, [_line(line, labels, points) for line, points in wrong.items()]))
     return done
 
 

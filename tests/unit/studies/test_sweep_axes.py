@@ -186,6 +186,7 @@ def test_errors_of_a_relative_path_name_the_file_once(tmp_path, monkeypatch):
     with pytest.raises(SceneError) as caught:
         load_sweep("relative.toml")
     assert all(line.count("relative.toml: ") == 1 for line in str(caught.value).splitlines())
+    assert all(line.startswith("relative.toml: ") for line in str(caught.value).splitlines())
 
 
 def test_errors_of_the_camera_and_the_map_name_their_points(refused):

@@ -468,6 +468,9 @@ def test_figure_of_one_axis(levels):
     sigma, error = (getattr(levels[0].comparison, name)[[0, 2, 1]] for name in ("value", "error"))
     np.testing.assert_array_equal(simulated.y, sigma)
     np.testing.assert_array_equal(simulated.high, sigma + error)
+    assert "Bars are Monte Carlo errors" in figure.caption
+    unknown = replace(result.comparison, error=np.full(3, np.nan))
+    assert "Errors are not known" in sweep_figure(replace(result, comparison=unknown)).caption
     apart, paired = ratio.series
     assert apart.look == "grey" and (paired.high - paired.low <= apart.high - apart.low + 1e-9).all()
 
