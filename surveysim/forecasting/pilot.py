@@ -52,8 +52,8 @@ def predict_kept_scans(
     in `weight`: scans are rejected in calm weather, whose observations have the largest weights. Between the
     observations of the pilot the fraction is interpolated. Pipelines without responsivity fits keep all scans. Where
     the pilot would take more than a few seconds, or can't be drawn, the fraction is unknown. One fit to all scans of
-    an observation is then tried with fewer of them: more scans, which have more atmosphere, converge where these do.
-    Draws are those of the scene's seed.
+    an observation is then tried with fewer of them. The mean power of the layer scatters more over few scans than over
+    many, so that more fits fail; where all converge, all scans are taken as kept. Draws are those of the scene's seed.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def predict_kept_scans(
     if drawn < n_scans and not (found == 1).all():
         return unknown
     shares = {
-        pipeline.data_set: _interpolate_shares(order, places, of, n_scans)
+        pipeline.data_set: _interpolate_shares(order, places, of, n_scans if drawn == n_scans else 1)
         for pipeline, of in zip(fitted, found.T, strict=True)
     }
     return {pipeline.data_set: shares.get(pipeline.data_set, whole) for pipeline in pipelines}

@@ -147,7 +147,7 @@ def test_known_responsivities_discard_nothing(scene_of, monkeypatch):
 
 
 def test_fits_to_observations_are_tried_with_fewer_scans(scene_of, monkeypatch):
-    """Strong layers converge with two of the scans; in calm weather more of them may, so the share is unknown."""
+    """In strong layers all fits to two of the scans converge; in calm weather some fail, and the share is unknown."""
     of_all = CALM | {"cleaning.responsivities": "observation"}
     setup = prepare(scene_of(**of_all))
     scan_samples = setup.camera.n_det * samples_per_scan(setup.observing.scans)
@@ -156,6 +156,7 @@ def test_fits_to_observations_are_tried_with_fewer_scans(scene_of, monkeypatch):
     monkeypatch.setattr("surveysim.forecasting.pilot._MOST_SAMPLES", 2.5 * n_pilot * scan_samples)
     strong = effects_of(scene_of(**(of_all | {"atmosphere.b2": "[400, 900, 2000] mK2 rad(-5/3)"})))["discarded scans"]
     assert strong.size == 0 and not strong.flagged
+    assert f"0.0 +- {100 / n_pilot:.1f} %" in strong.sentence  # one observation of the pilot more or less
     calm = effects_of(scene_of(**of_all))["discarded scans"]
     assert calm.size is None and calm.flagged
 
